@@ -191,6 +191,8 @@ def _concluded(
     judged = judge(problem, found, false_alarm_rate)
     advice = recommend(problem, found, judged, plan=plan)
     remainder = judged.remainder
+    # With no cause, the noise is that beside the disturbances that explain the misfit.
+    beside = remainder.beside if remainder is not None and not judged.causes else None
     return Diagnosis(
         problem=problem.name,
         verdict=judged.verdict,
@@ -202,7 +204,7 @@ def _concluded(
             judged.baseline,
             judged.extended,
             judged.records,
-            noise_text(found.at) if found.baseline.is_fitted else {},
+            noise_text(beside or found.at) if found.baseline.is_fitted else {},
             judged.disturbances,
         ),
         gain=Gain(judged.fitted, judged.held_out, judged.moved, judged.remaining),

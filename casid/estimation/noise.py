@@ -76,7 +76,8 @@ class NoiseModel:
         for group in self.alike:
             inputs = [name for name in group if name in largest]
             gains = {name: sum(self._gain(name, r) for r in self.responses) for name in group}
-            found = sum(self.source_sd[name] ** 2 * gains[name] for name in group)
+            white = [name for name in group if name not in self.spectra]  # others are their own
+            found = sum(self.source_sd[name] ** 2 * gains[name] for name in white)
             could = sum(largest[name] ** 2 * gains[name] for name in inputs)
             share = np.sqrt(min(found / could, 1.0)) if could > 0 else 0.0
             out.update({name: float(share * largest[name]) for name in inputs})

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import casid
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor, is_held
 from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.simulation.minimization import minimize_simulation_error
@@ -118,6 +119,20 @@ def test_inputs_that_act_alike_share_what_is_found_and_the_rest_is_a_disturbance
     assert noise(25.0 / 4).of_inputs(bounds) == pytest.approx({"a": 1.5, "b": 1.0})
     assert noise(100.0).of_inputs(bounds) == pytest.approx(bounds)
     assert noise(0.0).of_inputs(bounds) == {"a": 0.0, "b": 0.0}
+
+
+def test_a_force_with_a_spectrum_of_its_own_is_no_noise_of_an_input_that_acts_alike():
+    """Waves beside a measured wind: the wind's noise is what is white, whatever the waves are."""
+    response = Response(np.linspace(0, np.pi, 5), np.ones((5, 1, 2)), ("wind", "force"))
+    noise = NoiseModel(
+        np.ones(1),
+        {"wind": 0.5, "force": 10.0},
+        [response],
+        np.ones(1),
+        (("wind", "force"),),
+        spectra={"force": DisturbanceSpectrum(2.0, 0.1)},
+    )
+    assert noise.of_inputs({"wind": 3.0}) == pytest.approx({"wind": 0.5})
 
 
 def test_the_bound_on_an_inputs_noise_is_that_of_white_noise_however_short_the_record():

@@ -109,6 +109,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         test="test of the residual (spectrum, dependence on states and inputs, change in time)",
         false_alarm_rate=remainder.level if remainder is not None else false_alarm_rate,
         coloured=(extended or baseline).fit.coloured,
+        is_random=bool(disturbances),
     )
     bounds = bounds_met(problem, found.best_fit)
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):

@@ -121,6 +121,7 @@ def what_remains(
     test: str = "",
     false_alarm_rate: float = 0.05,
     coloured: Mapping[str, str] | None = None,
+    is_random: bool = False,
 ) -> Remaining | None:
     """The remainder of the misfit, from the RMS errors of one part of the records.
 
@@ -133,6 +134,7 @@ def what_remains(
     p_value, test : of the test of the remaining residual, and the test's name.
     false_alarm_rate : below it, the test rejects that the remainder is noise.
     coloured : output -> what its autocorrelated residual is like (`Agreement.coloured`).
+    is_random : the remainder is a disturbance, and no deficiency of the model.
 
     Returns
     -------
@@ -156,7 +158,7 @@ def what_remains(
         p_value=p_value,
         test=test,
         sentence=_sentence(explained, left, over)
-        + _kind_of_remainder(over, p_value, false_alarm_rate, coloured or {}),
+        + _kind_of_remainder(over, p_value, false_alarm_rate, coloured or {}, is_random),
     )
 
 
@@ -174,10 +176,17 @@ def _sentence(explained: tuple[Explained, ...], left: float, over: Mapping[str, 
 
 
 def _kind_of_remainder(
-    over: Mapping[str, float], p_value: float | None, alpha: float, coloured: Mapping[str, str]
+    over: Mapping[str, float],
+    p_value: float | None,
+    alpha: float,
+    coloured: Mapping[str, str],
+    is_random: bool,
 ) -> str:
     """Whether the remainder is noise: one answer from the test, the floor and the whiteness."""
-    if p_value is not None and p_value < alpha:
+    is_more = p_value is not None and p_value < alpha
+    if is_random and (is_more or max(over.values()) > JUDGING.at_floor):
+        return " The remainder is a random disturbance, not an error of the model."
+    if is_more:
         return " The remainder is more than noise: part of the misfit is unexplained."
     if max(over.values()) > JUDGING.at_floor:
         why = " that no effect of the catalogue explains" if p_value is not None else ""

@@ -57,6 +57,13 @@ def test_the_sentence_says_what_the_numbers_say(p_value, after, words):
     assert words in what_remains([("offset", "torque", 1.0)], part, p_value=p_value).sentence
 
 
+def test_what_a_random_disturbance_leaves_is_no_unexplained_misfit():
+    part = {"baseline_rmse": {"gyro": 1.6}, "noise_floor": {"gyro": 1.0}}
+    r = what_remains([], part, p_value=1e-6, is_random=True)
+    assert "The remainder is a random disturbance" in r.sentence
+    assert "unexplained" not in r.sentence
+
+
 def test_an_error_below_the_floor_is_no_negative_excess():
     part = {
         "baseline_rmse": {"gyro": 0.9},
