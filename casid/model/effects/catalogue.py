@@ -118,8 +118,13 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
         about = 0.0 if place.is_mechanical or place.is_relative else motion.operating_point
         effects.append(quadratic_damping(model, place, about))
         effects.append(cubic_damping(model, place, about))
-        # Where the rate keeps its sign, dry friction is a constant force.
-        if not motion.is_signed and (place.is_mechanical or not place.is_relative):
+        # Where the rate keeps its sign, dry friction is a constant force: between two bodies no
+        # other effect is one.
+        if place.is_relative:
+            is_friction = place.is_mechanical
+        else:
+            is_friction = not motion.is_signed
+        if is_friction:
             effects.append(coulomb_friction(model, place, speed))
         if not motion.is_signed and place.is_mechanical:
             effects.append(asymmetric_damping(model, place))
@@ -129,13 +134,13 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
     found: list[Effect | None] = []
     if place.position is not None:
         motion = sizes.motion_of(place.position)
-        about = motion.operating_point
+        # A machine's own zero, where its springs are at rest, may lie far from where it moves.
+        zeros = {motion.operating_point, 0.0} if place.is_mechanical else {motion.operating_point}
         width = SMOOTHING.width * max(motion.rms, 1e-12)
-        found += [
-            cubic_stiffness(model, place, about),
-            quadratic_stiffness(model, place, about),
-            deadzone(model, place, width, motion.largest),
-        ]
+        for about in sorted(zeros):
+            found.append(cubic_stiffness(model, place, about))
+            found.append(quadratic_stiffness(model, place, about))
+        found.append(deadzone(model, place, width, motion.largest))
         if place.is_mechanical:
             found.append(backlash(model, place, width, motion.largest))
     found += _stops_at(model, place, sizes)

@@ -16,7 +16,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.place import Expr, Place, is_zero
+from casid.model.effects.place import Expr, Place, is_mechanical, is_zero
 from casid.model.model import Model
 from casid.model.rate_laws import addends
 
@@ -163,7 +163,8 @@ class _Elements:
         """True for a motion of several things, one of which is an equation's own.
 
         In a single equation the others are inputs: what comes in from another store, and leaves
-        with the state, is no flow between the two.
+        with the state, is no flow between the two. What is estimated scales no motion: c w - T is
+        a torque and friction, not a motion relative to T / c.
         """
         moving = velocity if velocity is not None else position
         assert moving is not None
@@ -171,10 +172,23 @@ class _Elements:
         own |= {q for q in self.model.states if self._rate_is_of(q, own)}
         others = [n for n in moving if n not in own]
         if len(group) > 1 and len(moving) == 1:
-            return position is not None  # a relative coordinate already
+            # A relative coordinate already, or a wheel's speed, whose friction turns its carrier.
+            return position is not None or self._is_mechanical(group)
         if len(group) == 1 and any(n in self.model.states for n in others):
             return False
+        if any(self._is_estimated(moving[n]) for n in others):
+            return False
         return len(moving) > 1 and len(others) < len(moving)
+
+    def _is_mechanical(self, group: Sequence[_Part]) -> bool:
+        """True if every row is a balance of forces or torques."""
+        balances = self.model.balances
+        return all(r.row in balances and is_mechanical(balances[r.row].unit) for r in group)
+
+    def _is_estimated(self, coefficient: Expr) -> bool:
+        """True if a coefficient depends on a parameter that is not known."""
+        known = self.model.parameters
+        return any(not known[s.name()].is_known for s in ca.symvar(ca.SX(coefficient)))
 
     def _rate_is_of(self, position: str, rates: set[str]) -> bool:
         expression = self.model._rates.get(position)

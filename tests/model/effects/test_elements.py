@@ -152,3 +152,52 @@ def test_what_a_relative_motion_adds_takes_from_one_body_what_it_gives_the_other
     symbols = [extended.symbol(n) for n in ("a", "b", "n", name)]
     torques = ca.Function("t", symbols, [ca.vertcat(motor, load)])(0.5, 0.02, 20.0, 400.0)
     assert [float(t) for t in ca.vertsplit(torques)] == pytest.approx([-400 * 0.1**3, 20 * 0.4])
+
+
+def reaction_wheel() -> casid.Model:
+    """A wheel in a satellite: motor and bearing push the body back; it has no angle."""
+    m = casid.Model("satellite")
+    w, W = m.state("w", "rad/s"), m.state("W", "rad/s")
+    T = m.input("T", "N m", known=True)
+    Jb, Jw = m.parameter("Jb", "kg m^2", start=8.0), m.parameter("Jw", "kg m^2", start=0.02)
+    b = m.parameter("b", "N m s/rad", start=4e-5)
+    m.balance(w, "body", inertia=Jb, terms=[-(T - b * W)])
+    m.balance(W, "wheel", inertia=Jw, terms=[T - b * W])
+    m.output("w", w, "rad/s")
+    m.output("W", W, "rad/s")
+    return m
+
+
+def test_friction_of_a_wheel_turns_its_carrier_though_the_wheel_has_no_angle():
+    (bearing,) = elements_of(reaction_wheel())
+    assert (bearing.where, shares(bearing)) == ("W", [("wheel", "1"), ("body", "-1")])
+
+
+def test_friction_in_a_bearing_that_never_turns_back_is_a_torque_between_the_two():
+    """No constant term of one balance is one: the body is pushed the other way."""
+    ranges = {"w": (-1.0, 1.0), "W": (90.0, 110.0)}
+    sizes = Sizes({"w": 1e-3, "W": 100.0}, {}, (0.0, 10.0), 0.1, Ts=0.01, ranges=ranges)
+    found = [e for e in catalogue(reaction_wheel(), sizes, {}) if e.kind == "coulomb_friction"]
+    assert {e.where for e in found} == {"body", "W"}
+
+
+def test_a_motion_is_not_relative_to_an_input_scaled_by_what_is_estimated():
+    """J (T - b w) / B, an addend of one balance, is a torque and friction: no motion w - T / b."""
+    m = reaction_wheel()
+    w, b, Jb, Jw = (m.symbol(n) for n in ("W", "b", "Jb", "Jw"))
+    m.add_term("wheel", Jw / Jb * (m.symbol("T") - b * w))
+    assert [p.where for p in elements_of(m)] == ["W"]
+
+
+def test_a_spring_is_tested_from_its_own_zero_and_from_where_the_machine_works():
+    """A yacht that heels to one side rights itself about upright, not about its mean heel."""
+    m = casid.Model("heel")
+    phi, p = m.state("phi", "rad"), m.state("p", "rad/s")
+    m.derivative(phi, p)
+    C = m.parameter("C", "1/s^2", start=2.0)
+    m.balance(p, "torque", inertia=1, terms=[-C * phi], unit="rad/s^2")
+    m.output("phi", phi, "rad")
+    ranges = {"phi": (0.1, 0.4), "p": (-1.0, 1.0)}
+    sizes = Sizes({"phi": 0.3, "p": 0.1}, {}, (0.0, 10.0), 0.1, Ts=0.01, ranges=ranges)
+    found = [e for e in catalogue(m, sizes, {}) if e.kind == "cubic_stiffness"]
+    assert {e.constants.get("about", 0.0) > 0 for e in found} == {True, False}
