@@ -18,7 +18,7 @@ class Spectra:
 
     design: Array  # (B, ny + ns) |G|^2
     power: Array  # (B,)
-    count: Array  # (B,) frequencies of each band
+    count: Array  # (B,) frequencies of each band; the mean, which a fit takes away, is none
     omega: Array  # (B,) rad/sample, their mean
     output: Array  # (B,) index of the output
 
@@ -77,25 +77,31 @@ def band_edges(samples: int) -> Array:
 def _bins(
     residual: Array, response: Response, window: Array, whole: Array
 ) -> list[tuple[Array, Array, Array, Array]]:
-    """Periodogram and |G|^2 in bands of growing width: (power, gain2, count, omega) an output."""
+    """Periodogram and |G|^2 in bands of growing width: (power, gain2, count, omega) an output.
+
+    The line at zero does not count: initial states and what acts like them fit the residual's
+    mean, and an integrator would promise most of its power there.
+    """
     n = len(residual)
     omega = 2 * np.pi * np.arange(n // 2 + 1) / n
     edges = band_edges(n)
-    count = np.diff(edges)
-    centre = np.add.reduceat(omega, edges[:-1]) / count
+    lines = np.diff(edges)
+    centre = np.add.reduceat(omega, edges[:-1]) / lines
+    count = lines.astype(float)
+    count[0] -= 1.0
     out = []
     for i in range(residual.shape[1]):
         spectrum = np.abs(rfft(residual[:, i])) ** 2 / n
-        power = np.add.reduceat(spectrum, edges[:-1]) / count
+        power = np.add.reduceat(spectrum, edges[:-1]) / lines
         columns = []
         for j in range(response.gain2.shape[2]):
             g = np.interp(omega, response.omega, response.gain2[:, i, j])
             if not window[:, i].all():
                 moved = _moved(window[:, i], whole[:, i], response.omega, response.gain2[:, i, j])
                 g = np.maximum(g + moved, 0.0)
-            columns.append(np.add.reduceat(g, edges[:-1]) / count)
+            columns.append(np.add.reduceat(g, edges[:-1]) / lines)
         gain2 = np.column_stack(columns) if columns else np.zeros((len(power), 0))
-        out.append((power, gain2, count.astype(float), centre))
+        out.append((power, gain2, count, centre))
     return out
 
 
