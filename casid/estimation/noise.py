@@ -83,9 +83,8 @@ class NoiseModel:
             out.update({name: float(share * largest[name]) for name in inputs})
         return out
 
-    @staticmethod
-    def _gain(name: str, r: Response) -> float:
-        return float(r.gain2[:, :, r.sources.index(name)].mean())
+    def _gain(self, name: str, r: Response) -> float:
+        return float((r.gain2[:, :, r.sources.index(name)] * self.weights**2).mean())
 
     def spectrum(self, experiment: int) -> Array:
         """S (F, ny) per sample, output units squared, on the response's frequencies."""
@@ -267,7 +266,7 @@ def estimate_noise(
     alike: list[tuple[str, ...]] = [(name,) for name in every if name in known]
     found_in = every if has_disturbances else list(criterion.model.inputs)
     rest = [name for name in every if name not in known and name in found_in]
-    alike += _alike(responses, every, rest) if merge else [(name,) for name in rest]
+    alike += _alike(responses, criterion.weights, every, rest) if merge else [(n,) for n in rest]
     sources = [group[0] for group in alike]
     names = [*criterion.outputs, *sources]
     given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
@@ -357,13 +356,17 @@ def _least(a: Array, b: Array, near: Array) -> Array:
 
 
 def _alike(
-    responses: Sequence[Response], sources: list[str], candidates: Sequence[str]
+    responses: Sequence[Response], weights: Array, sources: list[str], candidates: Sequence[str]
 ) -> list[tuple[str, ...]]:
-    """Those of `candidates` in groups whose |G|^2 are multiples of one another; none that is 0."""
+    """Those of `candidates` in groups whose |G|^2 are multiples of one another; none that is 0.
+
+    Outputs, which may differ by orders of magnitude in SI, count in the criterion's weights.
+    """
     groups: list[list[str]] = []
     if not sources:
         return []
-    stacked = np.concatenate([r.gain2.reshape(-1, len(sources)) for r in responses])
+    weighted = [r.gain2 * weights[:, None] ** 2 for r in responses]
+    stacked = np.concatenate([g.reshape(-1, len(sources)) for g in weighted])
     logs = 0.5 * np.log(np.maximum(stacked, TINY))
     for name in candidates:
         j = sources.index(name)
