@@ -23,6 +23,8 @@ _QUIET: dict[str, dict[str, Any]] = {
         "ipopt.acceptable_tol": 1e-7,
         "ipopt.mu_strategy": "adaptive",
         "ipopt.bound_relax_factor": 0.0,
+        # Its watchdog takes a step that raises the criterion, and may end at such a point.
+        "ipopt.watchdog_shortened_iter_trigger": 0,
     },
     "sqpmethod": {
         "print_header": False,

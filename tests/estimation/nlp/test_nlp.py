@@ -186,6 +186,17 @@ def test_a_search_at_a_kink_ends_at_its_best_point():
     assert criterion.passes < 20 * 21 / 2 + 2 * PATIENCE
 
 
+def test_no_step_is_taken_that_raises_a_criterion_without_constraints():
+    """Ipopt's watchdog is for constraints (Maratos); where a step is far too long it runs away.
+
+    After ten shortened steps it takes a whole one on trial, and a search was seen to end there, at
+    1e41 from 66.
+    """
+    assert Solver().nlpsol_options()["ipopt.watchdog_shortened_iter_trigger"] == 0
+    own = Solver(options={"ipopt.watchdog_shortened_iter_trigger": 5})
+    assert own.nlpsol_options()["ipopt.watchdog_shortened_iter_trigger"] == 5
+
+
 def test_shortened_steps_take_the_value_alone():
     """Derivatives are computed at the start, at points that are taken, and for first steps."""
     criterion, whole = KinkWithValueAlone(), Kink()
