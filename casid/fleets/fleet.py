@@ -42,7 +42,7 @@ from casid.fleets.fleet_task import (
 from casid.fleets.random_effects import SOURCES as EFFECT_SOURCES
 from casid.fleets.random_effects import ParameterEffects, Sample, parameter_effects
 from casid.fleets.record_files import RecordFile, files_of
-from casid.fleets.record_list import FleetRecord, Labels, RecordList
+from casid.fleets.record_list import UNKNOWN, FleetRecord, Labels, RecordList
 from casid.fleets.record_work import REFERENCES, FleetSettings, Reference, reference_of
 from casid.fleets.thresholds import RECORD_BUDGET
 from casid.model.units import to_si
@@ -105,6 +105,12 @@ class Fleet(Presented):
         """Record -> why it has no outcome."""
         refused = self.records[self.records["refusal"] != ""]
         return dict(zip(refused["record"].tolist(), refused["refusal"].tolist(), strict=True))
+
+    @property
+    def unlabelled(self) -> tuple[str, ...]:
+        """Names of records whose asset neither path nor columns say, where some do."""
+        rows = self.records[self.records["asset"] == UNKNOWN]
+        return tuple(rows["record"].tolist()) if len(rows) < len(self.records) else ()
 
     @property
     def undecided(self) -> dict[str, str]:

@@ -104,6 +104,50 @@ class Labels:
         return asset or UNKNOWN, when
 
 
+def _require_labels(
+    labels: Labels, new: Sequence[tuple[FleetRecord, str | None]], before: Sequence[FleetRecord]
+) -> None:
+    """Refuse an asset or a time that none of the records says."""
+    if not new or before:
+        return
+    example = new[0][0].path
+    readable = [r.path for r, _ in new if _has_rows(r.path)] if labels.columns else []
+    for option, text, lacking in (
+        ("asset", labels.asset, all(r.asset == UNKNOWN for r, _ in new)),
+        ("time", labels.time, all(when is None for _, when in new)),
+    ):
+        if text is None or not lacking:
+            continue
+        if "{" in text:
+            raise DataError(
+                f"{option} {text!r} matches none of the {len(new)} records, the first of which is "
+                f"{example}; write the pattern of the end of their paths, as in "
+                "'{asset}/{time}.parquet' (--asset)"
+            )
+        if readable:
+            raise DataError(
+                f"{option} {text!r}: none of the {len(new)} records has such a column, the first "
+                f"of which is {readable[0]}; name a column of the files, or a pattern of their "
+                f"paths with {{{option}}} in it"
+            )
+    if not any(math.isfinite(r.when) for r, _ in new):
+        said = [when for _, when in new if when is not None]
+        if said:
+            raise DataError(
+                f"the times of the records, {said[0]!r} the first, are neither dates nor numbers; "
+                "write them as 2025-03-01, or leave {time} out for the order of the names"
+            )
+
+
+def _has_rows(path: str) -> bool:
+    """True of a file that can be read."""
+    try:
+        with local(path) as file:
+            return bool(open_table(file).columns)
+    except (CasidError, OSError):
+        return False
+
+
 def _matched(pattern: str, path: PurePosixPath) -> dict[str, str]:
     parts, end = [], 0
     for field in _FIELD.finditer(pattern):
@@ -179,7 +223,8 @@ class RecordList:
         Raises
         ------
         DataError
-            If a file is another one than it was, or some times are dates and others numbers.
+            If a file is another one than it was, some times are dates and others numbers, or no
+            record has the asset or the time that was named.
         """
         known = {record.path: i for i, record in enumerate(self.records)}
         new: list[tuple[FleetRecord, str | None]] = []
@@ -192,6 +237,7 @@ class RecordList:
             when, is_dated = (math.nan, False) if text is None else _seconds(text)
             record = FleetRecord(file.path, asset, when, is_dated, file.size, file.modified)
             new.append((record, text))
+        _require_labels(labels, new, self.records)
         self._append(new)
         return len(new)
 

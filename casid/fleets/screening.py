@@ -13,7 +13,7 @@ sea, but it may absorb a cause. So the effects that score best are taken out of 
 well: a cause leaves less for disturbances to explain, by a likelihood ratio with one degree of
 freedom; twice the smaller p counts. A record is searched
 whatever its scores where they cannot speak for it: its channels are others, its own fit is not
-found, or samples are spoilt.
+found, samples are spoilt or too few, or its outputs are noise alone.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
 from casid.diagnosis.evidence.spectral_peaks import find_peaks
+from casid.diagnosis.evidence.sufficiency import fewest_samples, why_uninformative
 from casid.errors import CasidError, DataError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import errors
@@ -156,9 +157,15 @@ class Screen:
             return Screened(0.0, f"it could not be screened: {error}")
 
     def _screened(self, record: Experiment) -> Screened:
+        reason = why_uninformative(self.problem.model, split_records([record], 0.0))
+        if reason:
+            return Screened(0.0, f"it may determine nothing: {reason}")
         base = self.at.criterion
         own = {n: v for n, v in self.at.fit.values.items() if n in base.free}
         criterion = base.of_records([record], weights=base.weights, start=own)
+        used = sum(int(d.used.sum()) for d in criterion.data)
+        if used < fewest_samples(len(criterion.variables)):
+            return Screened(0.0, f"it has {used} samples, too few to judge the model")
         x = _minimum(criterion, {})
         if x is None:
             # A sea may move the roll so that the simulation errs least far from the truth.

@@ -30,6 +30,7 @@ from casid.report.texts.fleets import (
     finding_cells,
     rates_text,
     undecided_reason,
+    unlabelled_text,
 )
 
 _FIRST, _FINDINGS = 12, 200  # findings at once, and unfolded; fleet.json has all of them
@@ -45,7 +46,12 @@ def fleet_report(fleet: Fleet) -> Document:
         [
             Section(
                 "",
-                [_banner(fleet), f"{_upper(counts_text(fleet))}.", f"{rates_text(fleet)}."],
+                [
+                    _banner(fleet),
+                    f"{_upper(counts_text(fleet))}.",
+                    f"{_upper(rates_text(fleet))}.",
+                    *(f"{_upper(text)}." for text in unlabelled_text(fleet)),
+                ],
                 is_open=True,
             ),
             Section(

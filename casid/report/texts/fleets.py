@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from casid.estimation.estimate import Estimated
 from casid.fleets.findings import Finding
@@ -23,7 +23,7 @@ def fleet_document(fleet: Fleet) -> Document:
     rows = [finding_cells(fleet, f) for f in shown]
     more = len(fleet.findings) - len(shown)
     return Document(
-        f"Fleet of {fleet.problem}: {len(fleet.records)} records of {len(fleet.assets)} assets",
+        f"Fleet of {fleet.problem}: {size_text(fleet)}",
         [
             ("records", counts_text(fleet)),
             ("errors", rates_text(fleet)),
@@ -32,6 +32,7 @@ def fleet_document(fleet: Fleet) -> Document:
             Table(
                 effect_head(fleet), [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)
             ),
+            *labelled("unlabelled", unlabelled_text(fleet)),
             *labelled("undecided", _grouped(fleet.undecided)),
             *labelled("refused", _grouped(fleet.refusals)),
             *(
@@ -60,6 +61,28 @@ _NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d.]*(e[-+]?\d+)?")
 def undecided_reason(text: str) -> str:
     """Why a record is undecided, without its own numbers: what many records have in common."""
     return _NUMBER.sub("..", text.split(": ", 1)[-1])
+
+
+def size_text(fleet: Fleet) -> str:
+    """How many records of how many assets."""
+    records, assets = len(fleet.records), len(fleet.assets)
+    return f"{records} record{'s' * (records != 1)} of {assets} asset{'s' * (assets != 1)}"
+
+
+def unlabelled_text(fleet: Fleet) -> list[str]:
+    """Records of which neither path nor columns say the asset."""
+    names = fleet.unlabelled
+    if not names:
+        return []
+    what = "its path or columns do" if len(names) == 1 else f"{len(names)} records, whose"
+    if len(names) == 1:
+        return [f"{names[0]}: {what} not say the asset, which is listed as unknown"]
+    return [f"{what} paths or columns do not say the asset: {_few(names)}, listed as unknown"]
+
+
+def _few(names: Sequence[str]) -> str:
+    more = len(names) - _REASONS
+    return ", ".join(names[:_REASONS]) + (f" and {more} more" if more > 0 else "")
 
 
 def counts_text(fleet: Fleet) -> str:
