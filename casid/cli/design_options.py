@@ -97,7 +97,11 @@ INPUT_OPTIONS = (
     ),
     _values("--x0", "An initial state, in its declared unit.", "STATE=VALUE"),
     _values("--noise", "Standard deviation of an output, in its unit.", "OUTPUT=SD"),
-    _values("--size", "Value of a cause's first parameter, SI.", "KIND[@WHERE]=VALUE"),
+    _values(
+        "--size",
+        "Value of a cause's first parameter, SI; again for each that it may have.",
+        "KIND[@WHERE]=VALUE",
+    ),
     click.option(
         "--shape",
         type=click.Choice(["constant", "linear", "multisine"]),
@@ -217,6 +221,15 @@ _PLAIN = (
 )
 
 
+def _sizes(given: Sequence[str]) -> dict[str, list[float]]:
+    """Cause -> the sizes that it may have."""
+    found: dict[str, list[float]] = {}
+    for text in given:
+        name, value = parse_setting(text, "--size")
+        found.setdefault(name, []).append(value)
+    return found
+
+
 def design_arguments(given: dict[str, Any]) -> dict[str, Any]:
     """The values of `INPUT_OPTIONS`, taken out of `given`, as `casid.design_experiment` takes them.
 
@@ -230,7 +243,7 @@ def design_arguments(given: dict[str, Any]) -> dict[str, Any]:
         option = f"--{name.replace('_', '-')}"
         values = dict(parse_setting(text, option) for text in given.pop(name))
         out[name] = values or None
-    out["sizes"] = dict(parse_setting(text, "--size") for text in given.pop("size"))
+    out["sizes"] = _sizes(given.pop("size"))
     out["limits"] = _ranges("--limit", given.pop("limit"))
     out["release"] = _ranges("--release", given.pop("release"))
     out["band"] = _band(given.pop("band"))

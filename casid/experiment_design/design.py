@@ -158,7 +158,7 @@ def _again(before: _Answer, limits: Limits, aim: Aim, duration: float, o: Design
     length = old.excitation.per * old.Ts
     options: dict[str, Any] = {**o, "Ts": old.Ts, "interval": min(length, duration)}
     setup = _setup(nominal, limits, duration, cast(DesignOptions, options))
-    sizes = dict(zip(aim.names, before.question.sizes, strict=False))
+    sizes = dict(zip(aim.names, before.question.every_size, strict=False))
     in_si = [nominal.model.in_si(s) for s in o["scenarios"]]
     question = question_of(aim, setup, sizes, in_si, o["seed"])
     u = before.best.u[: setup.N]
@@ -318,7 +318,8 @@ def _result(
             "notes": [*_notes(search, best, parameters), *_lengths_noted(tried)],
             "sizes": [
                 {"cause": name, "values": dict(values)}
-                for name, values in zip(aim.names, search.question.sizes, strict=False)
+                for name, several in zip(aim.names, search.question.every_size, strict=False)
+                for values in several
             ],
             "durations": [plain_fields(t) for t in tried],
             "versions": dict(versions()),
@@ -387,8 +388,10 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
                 "lasts. The sensor that it was eliminated with takes up whatever it does."
             )
     notes += _too_few(search)
-    for effect, size in zip(search.question.effects, search.question.sizes, strict=True):
-        values = ", ".join(f"{n} = {v:.4g}" for n, v in size.items())
+    for effect, several in zip(search.question.effects, search.question.every_size, strict=True):
+        values = " and with ".join(
+            ", ".join(f"{n} = {v:.4g}" for n, v in size.items()) for size in several
+        )
         notes.append(f"{effect.kind} in {effect.key[1]} is taken with {values} (SI).")
     if not best.iterations and search.starts != 0:
         notes.append(

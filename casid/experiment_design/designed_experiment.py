@@ -96,6 +96,7 @@ class Outcome:
         a detection: with an alarm); 0 of 0 where none were simulated.
     diagnosed : of these, those whose whole diagnosis names the truth before the rival; None where
         none was diagnosed.
+    size : value of the truth's first parameter, SI, where the design counts on several.
     """
 
     truth: str
@@ -107,6 +108,12 @@ class Outcome:
     runs: int = 0
     alone: float = 0.0
     diagnosed: int | None = None
+    size: float | None = None
+
+    @property
+    def words(self) -> str:
+        """The truth, with its size where there are several."""
+        return self.truth if self.size is None else f"{self.truth} of {self.size:.3g}"
 
     @property
     def counted(self) -> int:

@@ -31,7 +31,8 @@ class DesignOptions(TypedDict, total=False):
     noise : output -> standard deviation of its white noise, in its unit; default the problem's, or
         the RMS error that the fit left.
     sizes : cause -> value of its first parameter, or of several by name, SI; default what a
-        diagnosis found. One is enough: the other causes are taken as visible as that one.
+        diagnosis found. One is enough: the other causes are taken as visible as that one. A list
+        of sizes that a cause may have: the design is the best for the worst of them.
     scenarios : parameter -> value in its unit, over the nominal ones: the design is the best for
         the worst of them, and the limits hold in all.
     candidates : standard inputs drawn under the same limits, to begin from and compare with.

@@ -41,7 +41,8 @@ def outcomes(aim: Aim, question: Question, best: Found, standard: Found) -> tupl
             alone = _left_without_a_cause(best, c.truth)
             power = probability_of_right_name(energy, alone)
             usual = probability_of_right_name(other, _left_without_a_cause(standard, c.truth))
-        found.append(Outcome(truth, rival, energy, power, usual, alone=alone))
+        size = next(iter(question.truths[k].values())) if any(question.others) else None
+        found.append(Outcome(truth, rival, energy, power, usual, alone=alone, size=size))
     return tuple(found)
 
 

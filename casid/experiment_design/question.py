@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 
@@ -34,8 +35,10 @@ from casid.model.model import Model
 
 MISFIT = Target("misfit", (-1,))
 
-SizeOf = Mapping[str, float | Mapping[str, float]]
-"""Cause -> value of its first parameter, or of several by name, in their own units (SI)."""
+Size = float | Mapping[str, float]
+"""Value of a cause's first parameter, or of several by name, in their own units (SI)."""
+SizeOf = Mapping[str, Size | Sequence[Size]]
+"""Cause -> its size, or several that it may have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +48,10 @@ class Question:
     Attributes
     ----------
     effects : the causes, in the order of the aim.
-    sizes : of each cause, parameter of the effect -> value, SI.
+    sizes : of each cause, parameter of the effect -> value, SI; the first of several.
+    others : of each cause the further sizes that it may have.
     scenario : of each comparison, which set of parameter values it holds for.
+    truths : of each comparison of causes, the size of the truth.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -55,6 +60,13 @@ class Question:
     effects: tuple[Effect, ...] = ()
     sizes: tuple[Mapping[str, float], ...] = ()
     scenario: tuple[int, ...] = ()
+    others: tuple[tuple[Mapping[str, float], ...], ...] = ()
+    truths: tuple[Mapping[str, float], ...] = ()
+
+    @property
+    def every_size(self) -> tuple[tuple[Mapping[str, float], ...], ...]:
+        """Of each cause all the sizes that it may have."""
+        return tuple((s, *more) for s, more in zip(self.sizes, self.others, strict=True))
 
 
 def question_of(
@@ -86,19 +98,23 @@ def question_of(
     usual = _usual_motion(setup, base, seed)
     found = sizes_of(setup, base, usual)
     effects = [effect_of(setup.nominal, c, found) for c in aim.names]
-    given = [_size_of(setup, c, e, sizes) for c, e in zip(aim.names, effects, strict=True)]
+    given = [_sizes_given(setup, c, e, sizes) for c, e in zip(aim.names, effects, strict=True)]
     _require_size(effects, given)
     _require_separable(setup, base, effects)
-    full = _as_visible(setup, base, effects, given, usual)
+    full = _as_visible(setup, base, effects, [s[0] if s else None for s in given], usual)
+    others = tuple(tuple(s[1:]) for s in given)
     hypotheses: list[Hypothesis] = []
     comparisons: list[Comparison] = []
     scenario: list[int] = []
-    for k, own in enumerate(bases):
-        for a, b in permutations(range(len(effects)), 2) if len(effects) > 1 else [(0, None)]:
-            rival = own if b is None else with_cause(own, effects[b], full[b])
+    truths: list[Mapping[str, float]] = []
+    pairs = list(permutations(range(len(effects)), 2)) if len(effects) > 1 else [(0, None)]
+    for (k, own), (a, b) in product(enumerate(bases), pairs):
+        rival = own if b is None else with_cause(own, effects[b], full[b])
+        for size in (full[a], *others[a]):
             comparisons.append(Comparison(len(hypotheses), len(hypotheses) + 1))
-            hypotheses += [with_cause(own, effects[a], full[a]), rival]
+            hypotheses += [with_cause(own, effects[a], size), rival]
             scenario.append(k)
+            truths.append(size)
     return Question(
         tuple(hypotheses),
         tuple(comparisons),
@@ -106,6 +122,8 @@ def question_of(
         tuple(effects),
         tuple(full),
         tuple(scenario),
+        others,
+        tuple(truths),
     )
 
 
@@ -254,22 +272,29 @@ def _as_visible(
     return out
 
 
-def _size_of(setup: Setup, cause: str, effect: Effect, sizes: SizeOf) -> dict[str, float] | None:
-    """Values of a cause's parameters, SI: as given, or as a diagnosis found them."""
+def _sizes_given(setup: Setup, cause: str, effect: Effect, sizes: SizeOf) -> list[dict[str, float]]:
+    """Values of a cause's parameters, SI: as given, or as a diagnosis found them; or nothing."""
     for key in (cause, effect.kind, f"{effect.kind}@{effect.key[1]}"):
         if key in sizes:
             value = sizes[key]
-            if isinstance(value, Mapping):
-                return {n: float(v) for n, v in value.items()}
-            return {effect.parameters[0].name: float(value)}
+            several = value if isinstance(value, Sequence) else (value,)
+            if not several:
+                raise DataError(f"sizes of {key}: none is given; give a value, or leave it out")
+            return [_values(effect, s) for s in several]
     found = setup.nominal.sizes.get((effect.kind, effect.where))
     if found is None:
-        return None
+        return []
     own = [p.name for p in effect.parameters]
-    return dict(zip(own, found.values(), strict=False))
+    return [dict(zip(own, found.values(), strict=False))]
 
 
-def _require_size(effects: Sequence[Effect], given: Sequence[Mapping[str, float] | None]) -> None:
+def _values(effect: Effect, size: Size) -> dict[str, float]:
+    if isinstance(size, Mapping):
+        return {n: float(v) for n, v in size.items()}
+    return {effect.parameters[0].name: float(size)}
+
+
+def _require_size(effects: Sequence[Effect], given: Sequence[Sequence[Any]]) -> None:
     if any(given):
         return
     e = effects[0]

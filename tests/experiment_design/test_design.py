@@ -59,6 +59,30 @@ def test_a_design_separates_better_than_every_standard_input(
         assert use.lower <= use.lowest <= use.highest <= use.upper
 
 
+def test_of_several_sizes_of_a_cause_the_worst_counts(
+    separated: casid.DesignedExperiment,
+) -> None:
+    """The energy of a faint cause grows with the square of its size, about: the smaller decides."""
+    found = casid.design_experiment(
+        spring(),
+        Aim.separate("quadratic_damping", "cubic_damping"),
+        {"u": (-2, 2), "y": (-0.8, 0.8)},
+        6.0,
+        sizes={"cubic_damping": [0.2, 0.1]},
+        **SMALL,
+    )
+    assert [o.size for o in found.outcomes if o.truth.startswith("cubic")] == [0.2, 0.1]
+    large, small = (o.energy for o in found.outcomes if o.truth.startswith("cubic"))
+    assert 2.5 < large / small < 4.5
+    assert found.power == min(o.power for o in found.outcomes)
+    assert found.power < separated.power
+    assert any("with d_3 = 0.2 and with d_3 = 0.1" in n for n in found.notes)
+    with pytest.raises(casid.DataError, match="none is given"):
+        casid.design_experiment(
+            spring(), Aim.detect("cubic_damping"), {"u": (-2, 2)}, 6.0, sizes={"cubic_damping": []}
+        )
+
+
 def test_the_energy_predicted_is_what_a_fit_of_the_rival_leaves(
     separated: casid.DesignedExperiment,
 ) -> None:

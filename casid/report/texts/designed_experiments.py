@@ -37,7 +37,7 @@ def outcome_table(found: DesignedExperiment) -> Table:
     is_diagnosed = any(o.diagnosed is not None for o in found.outcomes)
     rows = [
         (
-            *(o.truth, o.rival, number_text(o.energy), _percent(o.power), _percent(o.standard)),
+            *(o.words, o.rival, number_text(o.energy), _percent(o.power), _percent(o.standard)),
             *([f"{o.right} of {o.runs}"] if o.runs else []),
             *([_diagnosed(o)] if is_diagnosed else []),
         )
