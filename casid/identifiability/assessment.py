@@ -285,7 +285,8 @@ class Assessment(Presented, Saved):
         if not lost:
             if len(self.parameters) == 1:
                 return f"{next(iter(self.parameters))} is identifiable."
-            return f"All {len(self.parameters)} parameters are identifiable."
+            every = f"All {len(self.parameters)}" if len(self.parameters) > 2 else "Both"
+            return f"{every} parameters are identifiable."
         kept = len(self.parameters) - len(lost)
         return (
             f"{kept} of {len(self.parameters)} parameters {_are(kept)} identifiable; "

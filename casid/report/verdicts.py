@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from casid.campaigns.monte_carlo import MonteCarlo
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import POOR
+from casid.identifiability.records.practical_result import LARGEST_RELATIVE
+from casid.model.quantities import percent_text
 
 GOOD_FIT = 90.0
 """Fit [%] of every output below which a residual that is not known to be white is remarked on; a
@@ -52,7 +54,7 @@ def judged_estimate(e: Estimate) -> Judged:
     """Whether an estimate and its error bars may be used, and why.
 
     The answer is the worst of: convergence, identifiability, fit, suspects of the record, whiteness
-    of the residual. Each says what it is about.
+    of the residual, size of the error bars. Each says what it is about.
     """
     spoilt = list(_spoilt(e))
     if spoilt:
@@ -61,9 +63,13 @@ def judged_estimate(e: Estimate) -> Judged:
         return Judged("do not use", _USELESS, "deficient", sentence + more, advice)
     doubts = list(_doubts(e))
     fit = _fit_text(e)
+    poor = list(_poorly_determined(e))
     if doubts:
-        text = " ".join((fit, *(sentence for sentence, _ in doubts)))
+        text = " ".join((fit, *(sentence for sentence, _ in (*doubts, *poor))))
         return Judged("use with care", _DOUBTFUL, "undecided", text, doubts[0][1])
+    for sentence, advice in poor:
+        text = f"{fit} {sentence} The error bars can be used."
+        return Judged("imprecise", _IMPRECISE, "undecided", text, advice)
     bars = "The estimates and their error bars can be used"
     if not e.whiteness:
         return Judged("usable", _GOOD, "adequate", f"{fit} {bars}.", _CONFIRM)
@@ -76,6 +82,7 @@ def judged_estimate(e: Estimate) -> Judged:
 
 _USELESS = "the numbers mean little"
 _DOUBTFUL = "the error bars do not contain every error"
+_IMPRECISE = "the error bars are large"
 _GOOD = "nothing speaks against the estimates"
 _CONFIRM = "Confirm the model on a record of its own (--hold-out FILE) before you rely on it."
 
@@ -140,6 +147,26 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
         )
     if e.warnings and not coloured:
         yield "A warning below affects these numbers.", "Read the warning; it says what to do."
+
+
+def _poorly_determined(e: Estimate) -> Iterator[tuple[str, str]]:
+    """Parameters with large error bars, those left out that may well be zero: their start is."""
+    relative = {
+        p.name: p.std_error / abs(p.value)
+        for p in e.parameters
+        if p.std_error is not None and p.value and p.start
+    }
+    poor = sorted((r, name) for name, r in relative.items() if r > LARGEST_RELATIVE)[::-1]
+    if poor:
+        listed = ", ".join(
+            f"{name} ({percent_text(100 * r) if r < 1 else 'more than its value'})"
+            for r, name in poor
+        )
+        yield (
+            f"Poorly determined: {listed}, the standard error relative to the value in brackets.",
+            "Record for longer or with a stronger excitation; casid design PROBLEM --estimate "
+            f"{','.join(name for _, name in poor)} finds the best one.",
+        )
 
 
 def _fits(e: Estimate) -> dict[str, float]:

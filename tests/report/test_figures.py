@@ -162,7 +162,7 @@ def test_error_against_rate_shows_the_missing_damping_and_nothing_after_naming_i
     d = samples.deficient()
     figure = residual_against_figure(d.records)
     titles = [getattr(figure.layout, f"xaxis{i}").title.text for i in ("", 2, 3)]
-    assert titles == ["phi [rad]", "p [rad/s]", "accel [m/s^2]"]
+    assert titles == ["phi [rad]", "p [rad/s]", "accel [m/s\u00b2]"]
     means = {t.name: t for t in figure.data if t.mode == "lines+markers" and t.xaxis == "x2"}
     before, after = means["before"], means["after"]
     assert np.corrcoef(before.x, before.y)[0, 1] < -0.8

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import casid
+from casid.model.quantities import percent_text
 from casid.report.html.drawing import DRAW
 from problems import pendulum, ship
 from tests.report.test_pages import Seen, assert_loads_nothing
@@ -117,9 +118,25 @@ def test_the_answer_stands_first_in_words(each):
         if each.is_identifiable
         else "not identifiable"
     )
-    banner = text.index(f"rank {each.rank} of {each.unknowns}")
-    assert word in text[:banner]
-    assert banner < text.index(each.sentence) < text.index("What the answer rests on", banner)
+    said = text.index(each.sentence)
+    assert word in text[:said]
+    assert said < text.index(f"{each.rank} of {each.unknowns}", said)
+    assert said < text.index("What the answer rests on", said)
+
+
+def test_what_the_records_determine_stands_beside_what_could_be_determined(swing):
+    """Identifiable in principle, and with which error in these records."""
+    text = Seen(page_of(swing)).text
+    rows = swing.practical.parameters
+    worst = max(rows, key=lambda r: r.relative)
+    share = f"{percent_text(100 * worst.relative)} of the value, that of {worst.name}"
+    assert all(r.verdict == "well determined" for r in rows)
+    assert share in text
+    spoilt = replace(worst, relative=0.5, verdict="poorly determined")
+    less = replace(swing.practical, rows=tuple(spoilt if r is worst else r for r in rows))
+    text = Seen(page_of(replace(swing, records=replace(swing.records, practical=less)))).text
+    assert f"These records determine {worst.name} poorly." in text
+    assert share not in text
 
 
 def test_every_part_has_its_section_and_no_section_is_empty(mixing, gains, swing, force):

@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 
 import pytest
 
+from casid.model.quantities import unit_text
 from casid.report.figures.diagnosis import diagnosis_figures
 from tests.support import sample_parts, samples
 from tests.support.samples import page_of
@@ -86,7 +87,7 @@ def test_everything_the_diagnosis_knows_stands_in_the_text(page):
         "refit gains too little",
         d.advice,
         *d.notes,
-        *d.noise.values(),
+        *map(unit_text, d.noise.values()),
         *d.provenance,
         *d.settings.values(),
         *d.versions.values(),

@@ -71,6 +71,31 @@ def test_a_residual_that_may_be_autocorrelated_is_not_called_white():
     assert "white" not in judged.sentence
 
 
+def determined_to(relative: float, start: float = 1.0):
+    e = good()
+    first, *rest = e.parameters
+    poor = replace(first, std_error=relative * abs(first.value), start=start)
+    return replace(e, parameters=(poor, *rest)), first.name
+
+
+@pytest.mark.parametrize(
+    ("relative", "start", "word"),
+    [
+        (0.29, 1.0, "usable"),
+        (0.31, 1.0, "imprecise"),
+        (2.0, 1.0, "imprecise"),
+        (2.0, 0.0, "usable"),
+    ],
+)
+def test_a_value_with_an_error_bar_of_a_third_is_imprecise(relative, start, word):
+    """The limit is that of practical identifiability; what starts at zero, an offset, may be it."""
+    e, name = determined_to(relative, start)
+    judged = judged_estimate(e)
+    assert judged.word == word
+    assert (f"Poorly determined: {name}" in judged.sentence) == (word == "imprecise")
+    assert (f"--estimate {name}" in judged.advice) == (word == "imprecise")
+
+
 def test_a_fit_that_did_not_converge_is_not_to_be_used():
     e = good()
     judged = judged_estimate(replace(e, solver=replace(e.solver, is_converged=False)))

@@ -24,6 +24,7 @@ from casid.estimation.estimate import Estimate
 from casid.estimation.local_rank import LocalRank, describe_null, local_rank
 from casid.identifiability.records.planned_experiment import Experiments, Noise, Planned, plan
 from casid.identifiability.records.practical_result import (
+    LARGEST_RELATIVE,
     POOR,
     UNDETERMINED,
     UNJUDGED,
@@ -49,7 +50,7 @@ def practical_identifiability(
     noise: Mapping[str, float] | None = None,
     own: Sequence[str] = (),
     substeps: int | None = None,
-    largest_relative: float = 0.3,
+    largest_relative: float = LARGEST_RELATIVE,
     largest_correlation: float = 0.99,
 ) -> Practical:
     """The error to expect of each unknown parameter from these experiments and their noise (1).

@@ -22,6 +22,9 @@ POOR: Verdict = "poorly determined"
 UNDETERMINED: Verdict = "not seen by this record"
 UNJUDGED: Verdict = "seen, not judged"
 
+LARGEST_RELATIVE = 0.3
+"""Standard error over value above which a parameter is called poorly determined (a convention)."""
+
 ASSUMES = (
     "white Gaussian noise of the stated standard deviation on each output, exact inputs, the model "
     "true, small errors around the stated values (Cramer-Rao bound); coloured noise, noise on "

@@ -10,6 +10,7 @@ import re
 import unicodedata
 
 from casid.model.effects.names import effect_words
+from casid.model.quantities import unit_text
 
 # Okabe & Ito (2008), distinct to colour-blind readers; dashes and hatching say the same again.
 MEASURED = "#8c8c8c"
@@ -53,12 +54,13 @@ def axis_text(name: str, unit: str, before: str = "") -> str:
     if not unit:
         return text
     between = "<br>" if len(name) + len(unit) > 20 else " "
-    return f"{text}{between}[{figure_text(unit, 22)}]"
+    return f"{text}{between}[{figure_text(unit_text(unit), 22)}]"
 
 
 def hover_text(x_unit: str, y_unit: str) -> str:
     """What the pointer shows: both coordinates with their units."""
-    return f"%{{x:.5g}} {figure_text(x_unit)}, %{{y:.4g}} {figure_text(y_unit)}"
+    shown = [figure_text(unit_text(unit)) for unit in (x_unit, y_unit)]
+    return f"%{{x:.5g}} {shown[0]}, %{{y:.4g}} {shown[1]}"
 
 
 def translucent(colour: str, alpha: float) -> str:

@@ -56,14 +56,14 @@ class Renderer(ABC):
         """One part."""
         match part:
             case str():
-                return element("p", part.strip()) if part.strip() else Html("")
+                return element("p", inline(part.strip())) if part.strip() else Html("")
             case Paragraph(text, look):
                 return element("p", inline(text), **_class(look))
             case Lines(lines):
                 return element("pre", Html("\n".join(map(safe, lines)))) if lines else Html("")
             case Equations(equations):
                 rows = join(map(_equation, equations))
-                return element("div", rows, class_="equations") if equations else Html("")
+                return _scrolling(rows, "equations", "Equations") if equations else Html("")
             case Table():
                 return _table(part) if part.rows else Html("")
             case Bullets():
@@ -107,7 +107,12 @@ def inline(text: Inline) -> Html:
         case Status():
             kind = text.replace(" ", "-") if text in _STATUSES else "other"
             return element("span", str(text), class_=f"status {kind}")
-    return safe(text)
+    return safe(unit_text(text))
+
+
+def _scrolling(content: Html, look: str, label: str) -> Html:
+    """What scrolls by itself where it is wider than the page, also by the keyboard."""
+    return element("div", content, class_=look, tabindex="0", role="group", aria_label=label)
 
 
 def _equation(e: ModelEquation) -> Html:
@@ -160,9 +165,7 @@ def _table(table: Table) -> Html:
         element("thead", element("tr", head)) + element("tbody", body),
         aria_label=caption,
     )
-    scroll = element(
-        "div", content, class_="scroll", tabindex="0", role="region", aria_label=caption
-    )
+    scroll = _scrolling(content, "scroll", caption)
     # The caption is outside of what scrolls: on a phone it must not run off the side.
     above = element("p", table.caption, class_="caption") if table.caption else ""
     return element("div", above + scroll, class_="table")
@@ -178,15 +181,13 @@ def _cells(row: Sequence[Inline] | str, table: Table) -> Html:
     if isinstance(row, str):
         return element("td", row, colspan=str(len(table.header)))
     return join(
-        element("td", _cell(cell, table.header[i]), **_class("n" if i in table.numbers else ""))
+        element(
+            "td",
+            "\u2013" if cell == "--" else inline(cell),
+            **_class("n" if i in table.numbers else ""),
+        )
         for i, cell in enumerate(row)
     )
-
-
-def _cell(cell: Inline, heading: str) -> Html:
-    if cell == "--":
-        return safe("\u2013")
-    return safe(unit_text(cell)) if heading == "unit" and isinstance(cell, str) else inline(cell)
 
 
 def _bullets(bullets: Bullets) -> Html:

@@ -77,7 +77,8 @@ section div.advice h2 { margin: 4px 0 6px; padding: 0; border: 0; font-size: 17p
   linear-gradient(90deg, var(--shade), transparent) 0 0 / 12px 100% no-repeat scroll,
   linear-gradient(270deg, var(--shade), transparent) 100% 0 / 12px 100% no-repeat scroll,
   var(--paper); }
-.scroll:focus-visible { outline: 2px solid var(--link); outline-offset: -2px; }
+.scroll:focus-visible, .equations:focus-visible {
+  outline: 2px solid var(--link); outline-offset: -2px; }
 table { border-collapse: collapse; width: 100%; font-size: 14px; line-height: 1.4; }
 th, td { padding: 6px 9px; text-align: left; vertical-align: top; border-top: 1px solid
   var(--line); overflow-wrap: break-word; min-width: 4ch; max-width: 44ch; }

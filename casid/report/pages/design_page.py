@@ -22,6 +22,7 @@ from casid.report.texts.designed_experiments import (
     limit_table,
     outcome_table,
     standard_table,
+    start_text,
 )
 
 
@@ -54,6 +55,7 @@ def design_report(found: DesignedExperiment) -> Document:
         [
             banner,
             Cards(cards),
+            Section("What to do next", [_advice(found)], look="advice"),
             Section("Input and outputs", [Figure("input", designed_input_figure(found))], "", True),
             Section("Power", [outcome_table(found)] if found.outcomes else [], is_open=True),
             Section("Parameters", [learned_table(found)], is_open=True),
@@ -72,3 +74,16 @@ def design_report(found: DesignedExperiment) -> Document:
         ],
         kind="Designed experiment",
     )
+
+
+def _advice(found: DesignedExperiment) -> str:
+    """How to carry the experiment out, and which command answers the question with its record."""
+    steps = []
+    if any(found.initial.values()):
+        steps.append(f"begin at {start_text(found)}")
+    if found.inputs:
+        steps.append("apply the input below (input.csv has its samples)")
+    steps.append(f"record {time_text(found.duration)}")
+    command = "identify" if found.aim.kind in ("estimate", "identifiable") else "diagnose"
+    text = ", ".join(steps)
+    return f"{text[:1].upper()}{text[1:]}, and run casid {command} on the record."

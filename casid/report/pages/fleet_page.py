@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from casid.fleets.findings import Finding
 from casid.fleets.fleet import ASSUMPTIONS, Fleet
 from casid.model.effects.names import effect_words
+from casid.model.quantities import count_text
 from casid.report.document import (
     Banner,
     Bullets,
@@ -110,24 +111,33 @@ def _signs(cells: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _banner(fleet: Fleet) -> Banner:
+    """Causes that last, else those of a last record alone, else those that have gone."""
     lasting = [f for f in fleet.findings if f.is_lasting and f.is_present]
-    assets = len({f.asset for f in lasting})
+    latest = [f for f in fleet.findings if not f.is_lasting and f.is_present]
     if lasting:
-        word, look = f"{assets} of {len(fleet.assets)} assets", "deficient"
+        assets = len({f.asset for f in lasting})
         first = lasting[0]
         sentence = (
             f"{_many(len(lasting), 'cause is', 'causes are')} still there; the strongest is "
             f"{effect_words(*first.key)} of {first.asset}, in {len(first.records)} records."
         )
-    elif fleet.findings:
-        word, look = "nothing that lasts", "undecided"
+        word = f"{assets} of {count_text(len(fleet.assets), 'asset')}"
+        return Banner(word, "with a cause that lasts", sentence, "deficient")
+    if latest:
+        first = latest[0]
+        sentence = (
+            f"{_many(len(latest), 'cause shows', 'causes show')} in a single record, the strongest "
+            f"is {effect_words(*first.key)} of {first.asset}; further records of the asset decide "
+            "whether it lasts."
+        )
+        return Banner("not confirmed", "found once", sentence, "undecided")
+    if fleet.findings:
         it = "it" if len(fleet.findings) == 1 else "them"
         count = _many(len(fleet.findings), "cause was", "causes were")
         sentence = f"{count} there for a time, and the last records do not show {it} any more."
-    else:
-        word, look = "nothing found", "adequate"
-        sentence = "No record is deficient at this false discovery rate."
-    return Banner(word, "with a cause that lasts" if lasting else "", sentence, look)
+        return Banner("nothing that lasts", "", sentence, "undecided")
+    sentence = "No record is deficient at this false discovery rate."
+    return Banner("nothing found", "", sentence, "adequate")
 
 
 def _findings(fleet: Fleet, shown: Sequence[Finding]) -> Table:

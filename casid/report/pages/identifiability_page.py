@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from casid.identifiability.assessment import Answer, Assessment
+from casid.identifiability.assessment import Answer, Assessment, shortened
+from casid.identifiability.records.practical_result import POOR, UNDETERMINED, Row
+from casid.model.quantities import percent_text
 from casid.report.document import (
     Banner,
     Bullets,
@@ -76,14 +78,51 @@ def _banner(a: Assessment) -> Banner:
         word, look = "identifiable", "adequate"
     else:
         word, look = "not identifiable", "deficient"
-    return Banner(word, f"rank {a.rank} of {a.unknowns}", a.sentence, look)
+    bound = a.answer.error_bound
+    sure = "a proof" if bound == 0.0 else f"error probability below {bound:.1e}"
+    beside = f"rank {a.rank} of {a.unknowns}" if a.answer.is_partial else sure
+    sentence = f"{a.sentence} {_in_practice(a)}".rstrip()
+    if look == "adequate" and _poor(a):
+        look = "undecided"
+    return Banner(word, beside, sentence, look)
+
+
+def _expected(a: Assessment) -> list[Row]:
+    """The parameters with a relative error to expect of the records, the largest first."""
+    if a.practical is None or not a.practical.noise.is_absolute:
+        return []
+    rows = [
+        r
+        for r in a.practical.parameters
+        if r.relative is not None and a.parameters.get(r.name) == "identifiable"
+    ]
+    return sorted(rows, key=lambda r: -(r.relative or 0.0))
+
+
+def _poor(a: Assessment) -> list[str]:
+    """Identifiable parameters that these records determine poorly or not at all."""
+    rows = a.practical.parameters if a.practical else ()
+    bad = {r.name for r in rows if r.verdict in (POOR, UNDETERMINED)}
+    return [n for n, v in a.parameters.items() if v == "identifiable" and n in bad]
+
+
+def _in_practice(a: Assessment) -> str:
+    """What these records are expected to determine, in a sentence."""
+    poor, expected = _poor(a), _expected(a)
+    if poor:
+        return f"These records determine {shortened(poor)} poorly."
+    if not expected:
+        return ""
+    worst = expected[0]
+    return (
+        "With these records and white noise the largest expected standard error is "
+        f"{percent_text(100 * (worst.relative or 0.0))} of the value, that of {worst.name}."
+    )
 
 
 def _cards(a: Assessment) -> Iterator[Card]:
-    bound = a.answer.error_bound
-    sure = "a proof" if bound == 0.0 else f"error probability below {bound:.1e}"
     rank = f"{a.rank} of {a.unknowns}"
-    yield Card("Rank", rank, rest="partial" if a.answer.is_partial else sure)
+    yield Card("Rank", rank, rest="partial" if a.answer.is_partial else "parameters and states")
     for title, verdicts, word in (
         ("Parameters", a.parameters, "identifiable"),
         ("Initial states", a.states, "observable"),
@@ -104,17 +143,21 @@ def _parameters(a: Assessment) -> Table:
     for name in a.parameters:
         partners = [n for n in group.get(name, ()) if n != name]
         row = expected.get(name)
-        error = "\u2013"
+        value = error = relative = "\u2013"
         if row is not None and a.parameters[name] == "identifiable":
-            error = number_text(row.std_error)
-        unit = a.units.get(name, "")
-        rows.append((Code(name), unit, verdict_words(a, name), ", ".join(partners), error))
-    header = ["parameter", "unit", "verdict", "confounded with", "expected std. error"]
-    shown = [i for i in range(5) if i in (0, 2) or any(r[i] not in ("", "\u2013") for r in rows)]
+            value, error = value_text(row.value), f"{row.std_error:.2g}"
+            relative = "\u2013" if row.relative is None else percent_text(100 * row.relative)
+        unit = a.units.get(name, "") if row is None else row.unit
+        verdict = verdict_words(a, name)
+        cells = (Code(name), verdict, ", ".join(partners), value, error, relative, unit)
+        rows.append(cells)
+    header = ["parameter", "verdict", "confounded with", "value", "expected std. error"]
+    header += ["of the value", "unit"]
+    shown = [i for i in range(7) if i < 2 or any(r[i] not in ("", "\u2013") for r in rows)]
     return Table(
         [header[i] for i in shown],
         [[r[i] for i in shown] for r in rows],
-        numbers=(shown.index(4),) if 4 in shown else (),
+        numbers=[shown.index(i) for i in (3, 4, 5) if i in shown],
         caption="Structural and practical verdict, parameter by parameter",
     )
 

@@ -68,7 +68,9 @@ def learned_table(found: DesignedExperiment) -> Table:
         for p in found.parameters
     ]
     head = ("parameter", "unit", "value", "std. error", "best standard")
-    return Table(head, rows, numbers=(2, 3, 4), caption="What would be learned of each parameter")
+    return Table(
+        head, rows, numbers=(2, 3, 4), caption="Expected standard errors of the parameters"
+    )
 
 
 def standard_table(found: DesignedExperiment) -> Table:

@@ -11,6 +11,7 @@ from casid.fleets.findings import Finding
 from casid.fleets.fleet import Fleet
 from casid.fleets.random_effects import ParameterEffects
 from casid.model.effects.names import effect_words
+from casid.model.quantities import count_text
 from casid.report.document import Document, Table, labelled
 from casid.report.numbers import number_text, plus_minus
 
@@ -36,7 +37,12 @@ def fleet_document(fleet: Fleet) -> Document:
             *labelled("undecided", _grouped(fleet.undecided)),
             *labelled("refused", _grouped(fleet.refusals)),
             *(
-                [("NOT DONE", f"{fleet.not_done} records: the budget of time ended")]
+                [
+                    (
+                        "NOT DONE",
+                        f"{count_text(fleet.not_done, 'record')}: the time limit was reached",
+                    )
+                ]
                 if fleet.not_done
                 else []
             ),
@@ -90,7 +96,7 @@ def counts_text(fleet: Fleet) -> str:
     refused = len(fleet.refusals)
     return (
         f"{fleet.new} diagnosed now, {len(fleet.records) - fleet.new} before; {fleet.searched} had "
-        f"the full search, {refused or 'none'} {'was' if refused == 1 else 'were'} refused"
+        f"the full search; {refused or 'none'} refused"
     )
 
 
@@ -99,9 +105,9 @@ def rates_text(fleet: Fleet) -> str:
     monthly = fleet.false_alarms_per_month
     alarms = len(fleet.alarms)
     text = (
-        f"{fleet.discoveries} records are deficient at a false discovery rate of {fleet.level:g} "
-        f"(Benjamini-Hochberg), {fleet.discoveries_e} of them whatever their dependence (e-BH); "
-        f"{alarms} raised an alarm on arrival (LORD++)"
+        f"{count_text(fleet.discoveries, 'deficient record')} at a false discovery rate of "
+        f"{fleet.level:g} (Benjamini-Hochberg), {fleet.discoveries_e} under any dependence between "
+        f"records (e-BH); {count_text(alarms, 'alarm')} on arrival (LORD++)"
     )
     if math.isfinite(monthly):
         text += f", at most {monthly:.2g} false ones a month"
