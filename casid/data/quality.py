@@ -205,7 +205,8 @@ def _read_file(data: str | Path, columns: Columns | None, options: ReadingOption
     if not is_refused:
         read = _read(found)
         return replace(read, findings=(*read.findings, *(_unclear_unit(c, "1") for c in unclear)))
-    taken = {c.name: c.unit or likely_reading(c.written) or "1" for c in numeric}
+    spoilt = [c for c in described.columns if c.kind == "text" and c.remarks]  # numbers, and text
+    taken = {c.name: c.unit or likely_reading(c.written) or "1" for c in (*numeric, *spoilt)}
     again = _read(survey(data, {name: ColumnSpec(name, u) for name, u in taken.items()}, options))
     doubts = [_unclear_unit(c, taken[c.name]) for c in unclear]
     return replace(again, findings=(*doubts, *again.findings))

@@ -272,3 +272,13 @@ def test_real_measurements_tell_what_is_known_of_them():
     assert roll.step == pytest.approx(np.radians(0.005), rel=1e-3)
     assert tanks.is_usable
     assert ship.is_usable
+
+
+def test_text_in_one_cell_is_a_fault_beside_a_unit_of_two_readings(tmp_path):
+    """1/min may be rpm or rad/min; the column that holds it is looked through all the same."""
+    rows = [f"{10 * i};{'ERR' if i == 50 else 100 + i}" for i in range(100)]
+    file = tmp_path / "log.csv"
+    file.write_text("\n".join(["t [ms];n [1/min]", *rows]) + "\n")
+    found = check(file)
+    assert not found.is_usable
+    assert any("line 52: 'ERR'" in f.text for f in found.findings)

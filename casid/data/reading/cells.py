@@ -69,15 +69,18 @@ def numbers_of(
         numbers[~held] = [infinite.get(cells[k].casefold(), np.nan) for k in np.flatnonzero(~held)]
         return _without_missing(numbers, table)
     first = int(np.argmax(text))
+    detail = (
+        f"text in {int(text.sum())} of {text.size} cells, the first at {table.place(first)}: "
+        f"{cells[first][:60]!r}"
+    )
     found.faults.append(
         Fault(
             "text",
-            f"{table.path.name}: column {spec.column!r} (channel {channel}) holds "
-            f"{int(text.sum())} values that are no numbers, the first at {table.place(first)}: "
-            f"{cells[first][:60]!r}.",
+            f"{table.path.name}: column {spec.column!r} (channel {channel}) holds {detail}.",
             "Correct the cells, or leave them empty and mark them missing (--mark-missing, "
             "mark_missing=True); text that stands for no value is named with --missing TEXT.",
             spec.column,
+            detail,
         )
     )
     return None

@@ -48,9 +48,11 @@ def _survey_of(
         return ColumnSurvey(name, None, "empty", None)
     if column.dtype.kind in "mM" or is_dated(table, name):
         return ColumnSurvey(name, None, "time", _step(times))
-    values = numbers_of(table, frame, name, ColumnSpec(name), Survey(table.path))
-    if values is None:
-        return ColumnSurvey(name, None, "text", None)
+    seen = Survey(table.path)
+    values = numbers_of(table, frame, name, ColumnSpec(name), seen, skip_text=True)
+    if values is None:  # all of it text, or numbers with text among them
+        remarks = tuple(f"holds {f.detail}" for f in seen.faults if f.detail)
+        return ColumnSurvey(name, None, "text", None, remarks)
     far_off = stands_for_none(values, name)
     remarks = [far_off] if far_off else []
     finite = np.isfinite(values)

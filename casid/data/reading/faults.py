@@ -14,12 +14,18 @@ Kind = Literal["numeric", "time", "text", "empty"]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something in a file that keeps it from being a record: what, where, and how to correct it."""
+    """Something in a file that keeps it from being a record: what, where, and how to correct it.
+
+    Attributes
+    ----------
+    detail : what is wrong with the column alone, where `text` names file and column as well.
+    """
 
     kind: str
     text: str
     remedy: str
     column: str | None = None
+    detail: str = ""
 
     def __str__(self) -> str:
         return f"{self.text} {self.remedy}"

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from casid.arrays import FloatArray
+from casid.data.reading.header_units import header_unit
 from casid.data.templates.file_channels import FileChannel, FileChannels, free_name
 from casid.data.templates.roles import Role, is_command, same_quantity
 from casid.errors import DataError
@@ -83,7 +84,16 @@ class Draft:
         if any(self.has(role) for role in roles):
             return
         sought = " or ".join(f"{role} ({' or '.join(self.roles[role].units)})" for role in roles)
-        columns = ", ".join(f"{c.column} [{c.unit or 'no unit'}]" for c in self.file.channels)
+        columns = ", ".join(
+            c.column if header_unit(c.column) else f"{c.column} [{c.unit or 'no unit'}]"
+            for c in self.file.channels
+        )
+        for column in self.file.spoilt:  # perhaps the one that is sought
+            raise DataError(
+                f"{self.file.path.name}: no column for {sought} among {columns}; column "
+                f"{column!r} is left out: {self.file.left_out[column]}. Correct the cells, or name "
+                "text that stands for no value with --missing TEXT."
+            )
         raise DataError(
             f"{self.file.path.name}: no column for {sought} among {columns}. Name it, for example "
             f"--map {roles[0]}={quoted(self.file.channels[-1].column)}:"

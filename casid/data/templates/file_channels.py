@@ -79,6 +79,7 @@ class FileChannels(NamedTuple):
     left_out : columns that are no channels -> why.
     form : how the file is written, where it leaves it open.
     resampled : sample time [s] where the clock is uneven and the record had to be interpolated.
+    spoilt : columns left out that hold numbers, and text in some cells.
     """
 
     path: Path
@@ -90,6 +91,7 @@ class FileChannels(NamedTuple):
     left_out: Mapping[str, str]
     resampled: float | None = None
     form: FileFormat | None = None
+    spoilt: tuple[str, ...] = ()
 
     @property
     def source(self) -> str:
@@ -159,7 +161,12 @@ def file_channels(
     specs = {column: ColumnSpec(column, unit or "1") for column, unit in units_of.items()}
     options = ReadingOptions(columns.clock, window, mark_missing=True, form=form)
     record, resampled = _record(path, specs, columns, options)
-    left_out = {c.name: _WHY[c.kind] for c in columns.columns if c.name not in units_of}
+    spoilt = {c.name: c.remarks[0] for c in columns.columns if c.kind == "text" and c.remarks}
+    left_out = {
+        c.name: f"it {spoilt[c.name]}" if c.name in spoilt else _WHY[c.kind]
+        for c in columns.columns
+        if c.name not in units_of
+    }
     left_out.pop(columns.clock or "", None)
     channels: list[FileChannel] = []
     for column, unit in units_of.items():
@@ -171,7 +178,16 @@ def file_channels(
         doubt = "" if column in given else _doubt(numeric[column])
         channels.append(FileChannel(name, column, known, record.filled(column), doubt))
     return FileChannels(
-        path, window, tuple(channels), columns.clock, record.Ts, record.N, left_out, resampled, form
+        path=path,
+        window=window,
+        channels=tuple(channels),
+        time=columns.clock,
+        Ts=record.Ts,
+        N=record.N,
+        left_out=left_out,
+        resampled=resampled,
+        form=form,
+        spoilt=tuple(spoilt),
     )
 
 

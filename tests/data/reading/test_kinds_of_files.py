@@ -320,7 +320,7 @@ KINDS = [
          .replace("999.25", "#N/A"), refused="3 samples that are not finite.*line 5",
          remedy="--mark-missing"),
     Kind("text that stands for no value", table().replace("17.0", "Fehler"),
-         refused="1 values that are no numbers.*line 6: 'Fehler'", remedy="--missing TEXT"),
+         refused="text in 1 of 12 cells.*line 6: 'Fehler'", remedy="--missing TEXT"),
     Kind("9999 that stands for no value", table().replace(",17.0,", ",9999,"),
          options={**form(missing=("9999",)), "mark_missing": True}, said="1 samples of F [N] not"),
     Kind("mixed sampling, a value in every fourth row",

@@ -261,9 +261,9 @@ def test_a_window_outside_the_record_is_refused_with_the_record_s_own_span(csv):
         ("t,y\n0,1,2\n1,2,3\n", "names 2 columns, the first row holds 3", "Give every column"),
         ("t,y\n0,1\n1,2,3,4\n2,3\n", "table is broken.*line 3", "as many values"),
         ("t,y\n0,a\n1,b\n", "no column of numbers", "with measurements"),
-        ("t,y\n0,1\nx,2\n2,3\n", "'t'.*holds 1 values that are no numbers.*line 3: 'x'", "Correct"),
+        ("t,y\n0,1\nx,2\n2,3\n", "'t'.*holds text in 1 of 3 cells.*line 3: 'x'", "Correct"),
         ("t,y\n0,1\n,2\n2,3\n", r"'t'.*1 empty or NaN, 0 Inf.*line 3", "give Ts"),
-        ("t,y\n0,1\n1,off\n\n2,x\n", "'y'.*2 values that are no numbers.*line 3: 'off'", "Correct"),
+        ("t,y\n0,1\n1,off\n\n2,x\n", "'y'.*text in 2 of 3 cells.*line 3: 'off'", "Correct"),
         ("t,y\n0,1\n\n1,\n2,inf\n", r"'y'.*2 samples.*1 empty or NaN, 1 Inf.*line 4", "mark_miss"),
         (
             "t,y\n0,1\n1,2\n1,3\n0,2\n2,4\n",
@@ -350,7 +350,7 @@ def test_a_parquet_file_written_with_its_index_is_read(tmp_path):
 
 
 def test_text_among_decimal_commas_is_found(csv):
-    with pytest.raises(DataError, match="1 values that are no numbers.*line 3: 'xx'"):
+    with pytest.raises(DataError, match="text in 1 of . cells.*line 3: 'xx'"):
         read_record(csv("t;y\n0,0;1,5\n0,1;xx\n0,2;2,5\n"))
 
 
