@@ -151,6 +151,15 @@ def swing(folder: Path, out: Output, *, quick: bool) -> Iterator[Target]:
     yield causes("swing, joint: causes", d, "damping is not viscous only", met)
     for c in d.causes:
         print(f"     swing, joint: {c.sentence or c.kind}")
+    for c in d.causes:
+        if (
+            c.kind == "coulomb_friction"
+        ):  # its size depends on what the growing damping is taken for
+            sizes = [*c.by_record.values()] or [{p.name: p for p in c.parameters}]
+            clear = min(s["F_c"].value / (s["F_c"].std_error or np.inf) for s in sizes)
+            yield Target(
+                "swing, joint: dry friction", f"{clear:.2g} standard errors", "> 3", clear > 3
+            )
     both = bool(steep & named) and bool(dry & named)
     yield Target(
         "swing, joint: dry friction against damping that grows",

@@ -188,18 +188,3 @@ def test_the_pieces_of_the_swing_follow_one_another():
     read = [swing.problem.read(shared(FOLDER) / f"est_{i}.csv").record for i in (1, 2, 3)]
     for before, after in itertools.pairwise(read):
         assert after.t0 == pytest.approx(before.t0 + before.N * before.Ts, abs=0.5 * before.Ts)
-
-
-@pytest.mark.slow
-def test_damping_of_the_measured_swing_is_dry_and_grows_with_the_rate(measured):
-    """Beside viscous damping and one that grows, a 20 000th of dry friction's signature is left.
-
-    Its size depends on what the damping that grows is taken for, 0.08 to 0.15 rad/s^2: it is only
-    asked to be clear of zero.
-    """
-    d = casid.diagnose(swing.problem, slow(measured), hold_out=0.0, max_causes=3, advise=False)
-    named = {c.kind: c for c in d.causes}
-    assert named.keys() & {"quadratic_damping", "cubic_damping"}
-    dry = named["coulomb_friction"]
-    for sizes in dry.by_record.values() or [{p.name: p for p in dry.parameters}]:
-        assert sizes["F_c"].value > 3 * sizes["F_c"].std_error

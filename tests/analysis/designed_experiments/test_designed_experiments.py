@@ -71,12 +71,12 @@ def test_a_ratio_below_three_is_a_missed_target() -> None:
 def test_the_short_study_runs_to_its_end_and_goes_on_where_it_was(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert STUDY.main(["--quick", "--runs", "4", "--out", str(tmp_path)]) == 0
+    assert STUDY.main(["--quick", "--runs", "2", "--out", str(tmp_path)]) == 0
     rows = (tmp_path / "pairs.jsonl").read_text(encoding="utf-8")
     assert rows.count("\n") == 1
     assert (tmp_path / "ratios.html").exists()
     capsys.readouterr()
-    assert STUDY.main(["--quick", "--runs", "4", "--out", str(tmp_path)]) == 0
+    assert STUDY.main(["--quick", "--runs", "2", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "pairs.jsonl").read_text(encoding="utf-8") == rows
 
 

@@ -185,7 +185,9 @@ def test_a_column_with_one_cell_of_text_is_named_where_its_signal_is_missing(tmp
     rows = [f"{10 * i};{i % 7};{'ERR' if i == 50 else 100 + i}" for i in range(100)]
     file = tmp_path / "log.csv"
     file.write_text("\n".join(["Zeit [ms];Spannung [V];Drehzahl [rpm]", *rows]) + "\n")
-    with pytest.raises(casid.DataError, match=r"'Drehzahl \[rpm\]' is left out.*line 52: 'ERR'.*--missi"):
+    with pytest.raises(
+        casid.DataError, match=r"'Drehzahl \[rpm\]' is left out.*line 52: 'ERR'.*--missi"
+    ):
         casid.new_problem(file, "dc-motor")
     form = casid.FileFormat(missing=("ERR",))
     new = casid.new_problem(file, "dc-motor", known={"R": 1.0, "K": 0.1, "N": 1.0}, form=form)
