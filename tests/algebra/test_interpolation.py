@@ -43,7 +43,7 @@ def evaluated(polynomial, x, y):
     return sum(c * x**a * y**b for (a, b), c in polynomial.items())
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 @given(polynomials(), polynomials(least=1))
 def test_a_rational_function_is_found_again_from_its_values(top, bottom):
     function = field_function(
