@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+from collections import Counter
 
+import pytest
 from hypothesis import settings
 
 # Threads of a linear-algebra library fight over small matrices; set before NumPy is imported.
@@ -22,3 +24,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # The same examples in every run, and no clock: a slow machine is no counterexample.
 settings.register_profile("casid", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("casid")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first: several processes then end with quick ones, at one time."""
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])  # in files, and among others, as they were

@@ -137,6 +137,7 @@ def test_the_power_predicted_is_the_share_of_right_names_in_simulated_records() 
         assert abs(o.right / runs - o.power) < 4 * spread + 0.5 / runs
 
 
+@pytest.mark.slow
 def test_whole_diagnoses_of_simulated_records_are_counted_with_the_interval_of_their_share() -> (
     None
 ):

@@ -131,6 +131,7 @@ def test_the_table_is_the_same_on_a_cluster_of_two_processes(
     assert contents(heaters / "dask") == contents(heaters / "out")
 
 
+@pytest.mark.slow
 def test_records_that_arrive_are_added_without_doing_the_old_again(
     done: casid.Fleet, heaters: Path, tmp_path: Path
 ) -> None:

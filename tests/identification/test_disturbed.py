@@ -257,6 +257,7 @@ def swung(seed):
     return identify(pendulum(), swing(seed), disturbances="torque:first")
 
 
+@pytest.mark.slow
 def test_a_nonlinear_model_and_its_disturbance_are_found_within_their_errors_over_seeds():
     """Sine of angles up to 1.5 rad; normalised errors of 8 seeds add to chi squared."""
     for name, truth in SWUNG.items():
@@ -307,6 +308,7 @@ def test_predictions_use_what_was_measured_until_so_many_samples_before():
     assert other == pytest.approx(errors[0], rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("linear", [True, False])
 def test_what_is_held_out_is_predicted_one_sample_ahead(linear):
     """As well as what was fitted, of the same record and of another one."""

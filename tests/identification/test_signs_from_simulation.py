@@ -190,6 +190,7 @@ def test_an_estimate_from_the_noisy_ship_names_the_yaw_gyro(noisy) -> None:
     assert casid.identify(BUILT, mended, settings=ONE).suspects == ()
 
 
+@pytest.mark.slow
 def test_a_parameter_at_its_bound_is_never_called_adequate(noisy, monkeypatch) -> None:
     """The yaw gyro the wrong way round, had nothing suspected it: K_r, at most 0, ends at 0."""
     monkeypatch.setattr("casid.diagnosis.evidence.baseline.wrong_sign", lambda *_, **__: None)
@@ -236,6 +237,7 @@ def test_a_rudder_at_rest_is_named_before_any_sign() -> None:
     assert any(n.startswith("nominal: delta: constant at") for n in found.notes)
 
 
+@pytest.mark.slow
 def test_a_rudder_stuck_at_its_limit_is_told_with_the_estimate_and_the_diagnosis(tmp_path) -> None:
     """The calibrated ship's rudder turns for 5 s and stands for the other 5."""
     (e,) = ship.experiments(("calibration",), duration=10.0)

@@ -150,6 +150,7 @@ def test_the_roll_frequency_is_the_published_one(measured, name):
     assert study.frequency(alone.estimate)[0] == pytest.approx(study.ALONE[name], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(study.RECORDS))
 def test_without_inputs_the_diagnosis_says_that_they_are_missing(measured, name):
     found = casid.diagnose(

@@ -11,6 +11,7 @@ import re
 from dataclasses import replace
 from types import SimpleNamespace
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -127,6 +128,7 @@ def shown(d: Diagnosis) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", body))
 
 
+@pytest.mark.slow
 @settings(max_examples=500, deadline=None, derandomize=True)
 @given(diagnoses())
 def test_no_sentence_of_a_diagnosis_contradicts_another(d: Diagnosis) -> None:

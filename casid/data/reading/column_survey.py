@@ -51,8 +51,8 @@ def _survey_of(
     seen = Survey(table.path)
     values = numbers_of(table, frame, name, ColumnSpec(name), seen, skip_text=True)
     if values is None:  # all of it text, or numbers with text among them
-        remarks = tuple(f"holds {f.detail}" for f in seen.faults if f.detail)
-        return ColumnSurvey(name, None, "text", None, remarks)
+        mixed = tuple(f"holds {f.detail}" for f in seen.faults if f.detail)
+        return ColumnSurvey(name, None, "text", None, mixed)
     far_off = stands_for_none(values, name)
     remarks = [far_off] if far_off else []
     finite = np.isfinite(values)

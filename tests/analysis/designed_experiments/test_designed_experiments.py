@@ -68,6 +68,7 @@ def test_a_ratio_below_three_is_a_missed_target() -> None:
     assert "p: searched over designed length" in missed
 
 
+@pytest.mark.slow
 def test_the_short_study_runs_to_its_end_and_goes_on_where_it_was(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

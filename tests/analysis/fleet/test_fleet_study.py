@@ -94,6 +94,7 @@ def test_a_sea_is_no_cause(problem: casid.Problem, tmp_path: Path, rms: float) -
     assert rms / 3 < sea.std < 3 * rms  # beside a damping that this record hardly determines
 
 
+@pytest.mark.slow
 def test_the_screening_takes_seas_for_seas(problem: casid.Problem, tmp_path: Path) -> None:
     """12 without a cause: each p is below 0.025 with at most that probability, two in 1 of 30.
 

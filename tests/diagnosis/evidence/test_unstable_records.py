@@ -156,6 +156,7 @@ def test_an_adequate_model_of_an_unstable_plant_is_called_adequate():
         assert held_out == pytest.approx(sd, rel=0.013 + 3.5 * 0.029)
 
 
+@pytest.mark.slow
 def test_what_an_unstable_plant_lacks_is_named_with_its_size():
     """Drag that grows with the rate squared, within 3.5 standard errors of what it is."""
     found = diagnosed(upright(drag=0.05, seed=1, N=3000))
@@ -165,6 +166,7 @@ def test_what_an_unstable_plant_lacks_is_named_with_its_size():
     assert abs(d_2.value - 0.05) < 3.5 * d_2.std_error
 
 
+@pytest.mark.slow
 def test_a_constant_torque_on_an_unstable_plant_is_named_with_its_size():
     """It shifts the angle at which the controller rests, at whatever angle is wanted."""
     found = diagnosed(upright(offset=0.05, seed=1))

@@ -69,6 +69,7 @@ def test_a_short_record_is_simulated_in_finer_steps_for_a_sharper_reversal():
     assert found.model.causes[0].constants["speed"] < 0.016
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.06, 0.2])
 def test_friction_beside_a_lag_is_as_sharp_as_alone(lag: float):
     """Whichever of the two is found first.

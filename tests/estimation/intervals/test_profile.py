@@ -85,6 +85,7 @@ def step_response(seed, *, length=0.6, samples=300, sd=0.12):
     return casid.Record({"u": np.ones(samples), "y": y}, {"u": "1", "y": "1"}, length / samples)
 
 
+@pytest.mark.slow
 def test_a_time_constant_longer_than_the_record_is_covered_as_stated():
     """Where the normal interval is not: over 120 draws, within what binomial draws allow."""
     draws, by_profile, normal = 120, 0, 0
