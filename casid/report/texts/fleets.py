@@ -72,7 +72,7 @@ def undecided_reason(text: str) -> str:
 def size_text(fleet: Fleet) -> str:
     """How many records of how many assets."""
     records, assets = len(fleet.records), len(fleet.assets)
-    return f"{records} record{'s' * (records != 1)} of {assets} asset{'s' * (assets != 1)}"
+    return f"{count_text(records, 'record')} of {count_text(assets, 'asset')}"
 
 
 def unlabelled_text(fleet: Fleet) -> list[str]:
