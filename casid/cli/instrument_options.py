@@ -114,7 +114,7 @@ class InstrumentRequest:
         for name in free or ():
             if all(name in e.known for e in fitted):
                 raise DataError(
-                    f"--free {name}: the load case of every record knows it "
+                    f"--free {name}: it is known in the load case of every record "
                     f"({', '.join(e.name for e in fitted)}); name the record in which it is "
                     "estimated without its load case, as in b.csv for loaded=b.csv"
                 )

@@ -167,7 +167,7 @@ def derive(
     edge = max(_edge(entry, record) for entry in wanted.values())
     if record.N - 2 * edge < 2:
         raise DataError(
-            f"{record.name}: {record.N} samples, of which {edge} at either end are spoilt by the "
+            f"{record.name}: {record.N} samples, of which {edge} at either end are affected by the "
             f"filters of {', '.join(wanted)}; widen the window"
         )
     if edge:

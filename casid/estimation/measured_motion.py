@@ -124,8 +124,8 @@ def decimated(phi: Array, y: Array, factor: int, edge: int) -> tuple[Array, Arra
     """Both sides of a regression, low-passed and thinned alike, their ends cut off."""
     if len(y) < factor * (40 + 2 * edge):
         raise DataError(
-            f"{len(y)} samples are too few: {edge * factor} at either end are spoilt by the filter "
-            f"and one in {factor} is kept; widen the window, raise the cutoff or lower decimate"
+            f"{len(y)} samples are too few: {edge * factor} at either end are affected by the "
+            f"filter and one in {factor} is kept; widen the window, raise the cutoff, decimate less"
         )
     if factor > 1:
         from scipy.signal import decimate

@@ -173,7 +173,7 @@ class Screen:
             return beside or Screened(0.0, _FAR)
         fit = replace(self.at.fit, criterion=criterion, solution=replace(self.at.fit.solution, x=x))
         if self._is_spoilt(fit, record):
-            return Screened(0.0, "samples of it are spoilt")
+            return Screened(0.0, "some of its samples are faulty")
         at = Weighing([record], known_noise=self.problem.noise).estimated(fit)
         if at.noise_absorbs_misfit:
             beside = self._beside_disturbances(record, criterion, x)

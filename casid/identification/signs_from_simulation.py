@@ -98,7 +98,7 @@ class WrongSign:
         others = f" (or {', '.join(self.rivals)}, which fits as well)" if self.rivals else ""
         return (
             f"the channel {self.channel} probably has the wrong sign, a scale of -1{others}: "
-            f"negated, it brings the rms error of {gains}. {self.remedy}"
+            f"negating it lowers the rms error of {gains}. {self.remedy}"
         )
 
 

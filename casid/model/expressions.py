@@ -298,7 +298,7 @@ class _Parser:
         if word != wanted:
             found = repr(word) if word else "the end"
             raise self._error(
-                f"{opening!r} at character {start + 1} wants {wanted!r}, but {found} follows; "
+                f"{opening!r} at character {start + 1} needs {wanted!r}, but {found} follows; "
                 f"close it with {wanted!r}",
                 position,
             )

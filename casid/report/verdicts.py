@@ -83,7 +83,7 @@ def judged_estimate(e: Estimate) -> Judged:
 _USELESS = "the numbers mean little"
 _DOUBTFUL = "the error bars do not contain every error"
 _IMPRECISE = "the error bars are large"
-_GOOD = "nothing speaks against the estimates"
+_GOOD = "no test contradicts the estimates"
 _CONFIRM = "Confirm the model on a record of its own (--hold-out FILE) before you rely on it."
 
 
@@ -128,8 +128,8 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
         )
     if (coloured or not e.whiteness) and any(v < GOOD_FIT for v in _fits(e).values()):
         yield (
-            f"The fit is below {GOOD_FIT:.0f} %: noise, disturbances or a missing effect make up "
-            "the rest.",
+            f"The fit is below {GOOD_FIT:.0f} %: noise, disturbances or a missing effect account "
+            "for the rest.",
             "Compare the error with the noise of the sensors, as casid diagnose does.",
         )
     bound = [p.name for p in e.parameters if "bound" in p.note]

@@ -114,7 +114,7 @@ BREAK_INS = {
     "a builtin": ("eval(x)", "unknown function 'eval'"),
     "getattr": ("getattr(x, y)", "unknown function 'getattr'"),
     "a lambda": ("lambda: x", "has no place in a formula"),
-    "a comprehension": ("[x for x in y]", "wants ']'"),
+    "a comprehension": ("[x for x in y]", "needs ']'"),
     "a subscript": ("x[0]", "'x' is no function; write a product as x*["),
     "a string": ("'x'", "has no place in a formula"),
     "an f-string": ('f"{x}"', "has no place in a formula"),

@@ -29,7 +29,7 @@ from casid.model.effects.effect import Effect
 from casid.model.model import Model
 from casid.time_limit import wall_clock
 
-Reason = Literal["structural", "practical", "practical (not asked structurally)"]
+Reason = Literal["structural", "practical", "practical (structure not checked)"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class _RankTests:
         found = self._rank(new) if self._has_exact_algebra(effect, new) else None
         share = f"{100 * (1 - visible):.4g} % of its effect on the outputs"
         if found is None or found.identifiable.get(names[0], True):
-            reason: Reason = "practical" if found else "practical (not asked structurally)"
+            reason: Reason = "practical" if found else "practical (structure not checked)"
             return Undetectable(
                 effect.kind,
                 effect.key[1],

@@ -169,7 +169,7 @@ def _sentence(explained: tuple[Explained, ...], left: float, over: Mapping[str, 
     if not explained:
         return f"No cause is named; {ends}."
     if all(e.kind in OF_SAMPLES for e in explained):
-        return f"The samples that the sensor spoils are left out; {ends}."
+        return f"Samples with a faulty sensor are left out; {ends}."
     many = "causes explain" if len(explained) > 1 else "cause explains"
     share = "more than 99.5 %" if 0 < left < JUDGING.nearly_all else f"{100 * (1 - left):.0f} %"
     return f"The named {many} {share} of the excess misfit, and {ends}."

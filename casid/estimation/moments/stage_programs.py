@@ -181,7 +181,7 @@ class StagePrograms:
         if self.settings.constraints:
             raise ModelError(
                 f"{self.name}: constraints on physical parameters need form='eliminated' or "
-                "'lifted'; the linear form knows theta alone"
+                "'lifted'; the linear form has theta alone"
             )
         B, b = self.map.constraints(values, start)
         metric = _block_diagonal([d.right for d in data])

@@ -142,7 +142,7 @@ class Effect:
         except KeyError as error:
             raise ModelError(
                 f"{model.name}: {self.kind} in {self.where} needs {error}, which the model does "
-                "not have; apply the effect that brings it first"
+                "not have; apply the effect that adds it first"
             ) from error
         return new, tuple(names)
 

@@ -120,7 +120,7 @@ def _checked(
             if usable(field, rest):
                 raise ModelError(
                     f"the filters are no left inverse: f G has {field.back(total)} in row {u}, "
-                    f"column {k}, where (4.22) wants {int(u == k)}. Leave out filters= for one "
+                    f"column {k}, where (4.22) needs {int(u == k)}. Leave out filters= for one "
                     f"made of {', '.join(edge_label((m, u)) for m in measured)}"
                 )
     return f

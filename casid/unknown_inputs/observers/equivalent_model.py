@@ -278,7 +278,8 @@ def _not_felt(model: EquivalentModel, also_unstable: bool) -> str:
     return (
         f"no observer is free of {direction_text(Vt[0], s.unknown)}: it moves "
         f"{direction_text(moved, s.states)}, but neither {', '.join(s.outputs)} nor {step} of an "
-        f"output feels it (E Pu (I - pinv(Ctil) Ctil) is {model.leftover_size:.2g} of E, not 0)"
+        "output depends on it "
+        f"(E Pu (I - pinv(Ctil) Ctil) is {model.leftover_size:.2g} of E, not 0)"
         f"{more}. Measure a signal nearer to it (a velocity or an acceleration, say), or estimate "
         "the input with reconstruct_input, which uses later samples as well"
     )

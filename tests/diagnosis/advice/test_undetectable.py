@@ -108,7 +108,7 @@ def test_a_delay_is_not_asked_structurally(fitted):
     """It has no exact algebra; nearly all of it is absorbed here, and the threshold says so."""
     model = fitted.criterion.model
     i = asked(fitted, [time_delay(model, "gyro", 0.2)], threshold=0.5)["time_delay", "gyro"]
-    assert i.reason == "practical (not asked structurally)"
+    assert i.reason == "practical (structure not checked)"
     assert "wider band" in i.remedy
 
 

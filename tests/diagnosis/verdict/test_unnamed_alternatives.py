@@ -119,5 +119,5 @@ def test_a_cause_that_needs_another_one_s_input_says_so():
     model = pendulum.problem.model
     driven = extra_input(model, "torque", "ref", "m/s^2").extend(model)
     effect = actuator_lag(driven, "ref", 0.1)
-    with pytest.raises(ModelError, match=r"needs 'ref'.*apply the effect that brings it first"):
+    with pytest.raises(ModelError, match=r"needs 'ref'.*apply the effect that adds it first"):
         effect.extend(model)
