@@ -76,7 +76,10 @@ def learned(setup: Setup, best: Found, standard: Found) -> tuple[Learned, ...]:
 
 
 def predicted_records(setup: Setup, best: Found) -> dict[str, Record]:
-    """Name of a hypothesis -> what it would record without noise, rivals as they fit best."""
+    """Name of a hypothesis -> what it would record without noise, rivals as they fit best.
+
+    Of several scenarios, or sizes of a cause, the first.
+    """
     prediction, records = best.prediction, {}
     at = best.u, best.release
     sources = prediction.sources
@@ -87,6 +90,8 @@ def predicted_records(setup: Setup, best: Found) -> dict[str, Record]:
                 records[h.name] = record_of(prediction, best.u, y, acting, name=h.name)
             continue
         name = f"{h.name}, fitted to {prediction.hypotheses[sources[i]].name}"
+        if name in records:
+            continue
         y, measured = prediction.course(i, *at).y, prediction.measured(sources[i], *at)
         records[name] = record_of(prediction, best.u, y, h.model, measured, name)
     return records

@@ -11,9 +11,10 @@ cause. Its scores are computed under the noise that takes all of it for disturba
 is not white at the parameters that are likeliest under it (`disturbance_likelihood`): right in a
 sea, but it may absorb a cause. So the effects that score best are taken out of the residual as
 well: a cause leaves less for disturbances to explain, by a likelihood ratio with one degree of
-freedom; twice the smaller p counts. A record is searched
-whatever its scores where they cannot speak for it: its channels are others, its own fit is not
-found, samples are spoilt or too few, or its outputs are noise alone.
+freedom; twice the smaller p counts. A line in a sea is judged by its nearest neighbours alone: no
+family of spectra follows the narrow peak of a sea everywhere. A record is searched whatever its
+scores where they cannot speak for it: its channels are others, its own fit is not found, samples
+are spoilt or too few, or its outputs are noise alone.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
 from casid.diagnosis.evidence.spectral_peaks import find_peaks
 from casid.diagnosis.evidence.sufficiency import fewest_samples, why_uninformative
+from casid.diagnosis.thresholds import PEAKS
 from casid.errors import CasidError, DataError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import errors
@@ -186,9 +188,9 @@ class Screen:
         if own_fit is None:
             return Screened(0.0, _FAR)
         found = self._scored(criterion, own_fit, at)
-        lines = self._lines(criterion, own_fit)
         if not at.noise_absorbs_misfit:
-            return replace(found, p_value=min(found.p_value, lines))
+            return replace(found, p_value=min(found.p_value, self._lines(criterion, own_fit)))
+        lines = self._lines(criterion, own_fit, neighbours=_NEAR)
         return replace(
             found, p_value=min(1.0, lines, 2.0 * min(found.p_value, self._taken_out(at)))
         )
@@ -223,7 +225,8 @@ class Screen:
         p = 2.0 * min(p, len(table.tested) * float(chdtrc(1, 2.0 * gain)))
         _, tangent = at.columns(x, 0)
         own = self._parameters(at, x, tangent)
-        return Screened(min(1.0, p, self._lines(at, x)), "", own)
+        beside = self._lines(at, x, neighbours=_NEAR)
+        return Screened(min(1.0, p, beside), "", own)
 
     def _gain_beside(self, bare: Weighted, effects: Sequence[int], tests: int) -> float:
         """The most that the log-likelihood gains where one effect explains a part of the residual.
@@ -269,12 +272,19 @@ class Screen:
             least = min(least, misfit + 0.5 * noise.log_determinant(0, shape[0]))
         return least
 
-    def _lines(self, criterion: SimulationError, x: Array) -> float:
+    def _lines(
+        self,
+        criterion: SimulationError,
+        x: Array,
+        *,
+        neighbours: tuple[int, int] = PEAKS.neighbours,
+    ) -> float:
         """p of the most significant line in the spectrum of the residual."""
         if "periodic_disturbance" in self.without:
             return 1.0
         residual, _ = criterion.columns(x, 0)
-        peaks = find_peaks([residual], [d.Ts for d in criterion.data], alpha=self.level)
+        Ts = [d.Ts for d in criterion.data]
+        peaks = find_peaks([residual], Ts, alpha=self.level, neighbours=neighbours)
         return min((peak.p_value for peak in peaks), default=1.0)
 
     def _columns(self, criterion: SimulationError, x: Array) -> Columns:
@@ -369,6 +379,7 @@ class Screen:
         return bool(corrupted.count)
 
 
+_NEAR = (SCREENING.beside, SCREENING.beside)
 _FAR = "its own fit was not found from the asset's reference"
 
 

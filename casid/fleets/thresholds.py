@@ -37,6 +37,12 @@ class Screening:
     taken_out: int = _is(
         4, "effects that are taken out of a residual that disturbances might explain", _STUDY
     )
+    beside: int = _is(
+        6,
+        "lines on either side of one in a sea, of which its level is taken: a sea's spectrum may "
+        "be as narrow, and fewer make the test's tail heavier",
+        _STUDY,
+    )
     followed: float = _is(
         0.5,
         "of the gain in log-likelihood at which a record passes: an effect that gains less in a "

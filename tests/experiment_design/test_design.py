@@ -76,6 +76,15 @@ def test_of_several_sizes_of_a_cause_the_worst_counts(
     assert 2.5 < large / small < 4.5
     assert found.power == min(o.power for o in found.outcomes)
     assert found.power < separated.power
+    # What is drawn of truth and rival belongs to one size.
+    truth, rival = (
+        found.records[n]["y"]
+        for n in (
+            "cubic_damping in force",
+            "quadratic_damping in force, fitted to cubic_damping in force",
+        )
+    )
+    assert np.sum((truth - rival) ** 2) / 0.01**2 == pytest.approx(large, rel=1e-3)
     assert any("with d_3 = 0.2 and with d_3 = 0.1" in n for n in found.notes)
     with pytest.raises(casid.DataError, match="none is given"):
         casid.design_experiment(

@@ -47,7 +47,12 @@ class Peak:
 
 
 def find_peaks(
-    residuals: Sequence[Array], Ts: Sequence[float], *, alpha: float = 0.05, most: int = PEAKS.most
+    residuals: Sequence[Array],
+    Ts: Sequence[float],
+    *,
+    alpha: float = 0.05,
+    most: int = PEAKS.most,
+    neighbours: tuple[int, int] = PEAKS.neighbours,
 ) -> list[Peak]:
     """The peaks that chance would not bring, the most significant first.
 
@@ -56,6 +61,7 @@ def find_peaks(
     residuals : (N, ny) whitened residual of each record, zero where a sample is not used.
     Ts : sample time of each record [s].
     alpha : peaks with p below are returned, at most `most` of them.
+    neighbours : lines on either side that the level is taken of, at least and at most.
 
     Notes
     -----
@@ -67,7 +73,7 @@ def find_peaks(
     found: list[Peak] = []
     for k, (r, step) in enumerate(zip(residuals, Ts, strict=True)):
         for i in range(r.shape[1]):
-            for f, amplitude, power, p in _peaks_of(r[:, i], step, most):
+            for f, amplitude, power, p in _peaks_of(r[:, i], step, most, neighbours):
                 adjusted = -np.expm1(tried * np.log1p(-min(p, 1.0 - 1e-12)))
                 adjusted = min(1.0, tried * p) if p < 1e-9 else float(adjusted)
                 found.append(Peak(f, amplitude, max(adjusted, TINY), power, k, i))
@@ -88,7 +94,9 @@ def tail(x: float, n: int, r: int) -> float:
     return float(np.exp(-np.sum(np.log1p(x / a / (n - i)))))
 
 
-def _peaks_of(e: Array, Ts: float, most: int) -> list[tuple[float, float, float, float]]:
+def _peaks_of(
+    e: Array, Ts: float, most: int, neighbours: tuple[int, int]
+) -> list[tuple[float, float, float, float]]:
     """(frequency, amplitude, power over level, p) of the largest peaks of one column (N,)."""
     N = len(e)
     if N < PEAKS.shortest or not np.any(e):
@@ -96,7 +104,7 @@ def _peaks_of(e: Array, Ts: float, most: int) -> list[tuple[float, float, float,
     lines = np.arange(PEAKS.first, N // 2)
     shape = _smooth_shape(e)  # (PEAKS.finer N / 2 + 1,)
     raw = np.abs(np.fft.rfft(e)) ** 2 / N / shape[:: PEAKS.finer][: N // 2 + 1]
-    level, n, r = _levels(raw, lines)
+    level, n, r = _levels(raw, lines, neighbours)
     fine = np.arange(PEAKS.finer * lines[0], PEAKS.finer * lines[-1] + 1)
     nearest = np.clip(np.rint(fine / PEAKS.finer).astype(int) - lines[0], 0, len(lines) - 1)
     expected = level[nearest] * shape[fine]
@@ -129,9 +137,9 @@ def _smooth_shape(e: Array) -> Array:
     return np.asarray(1.0 / np.abs(np.fft.rfft(a, PEAKS.finer * N)) ** 2)
 
 
-def _levels(raw: Array, lines: Array) -> tuple[Array, int, int]:
+def _levels(raw: Array, lines: Array, neighbours: tuple[int, int]) -> tuple[Array, int, int]:
     """Local level at each line, the number of neighbours n and the rank r of the median."""
-    half = int(np.clip(int(PEAKS.share * len(lines)), *PEAKS.neighbours))
+    half = int(np.clip(int(PEAKS.share * len(lines)), *neighbours))
     n = 2 * half
     r = (n + 1) // 2
     a = float(np.sum(1.0 / (n - np.arange(r))))

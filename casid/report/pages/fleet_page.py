@@ -45,16 +45,7 @@ def fleet_report(fleet: Fleet) -> Document:
     return Document(
         fleet.problem,
         [
-            Section(
-                "",
-                [
-                    _banner(fleet),
-                    f"{_upper(counts_text(fleet))}.",
-                    f"{_upper(rates_text(fleet))}.",
-                    *(f"{_upper(text)}." for text in unlabelled_text(fleet)),
-                ],
-                is_open=True,
-            ),
+            Section("", [_banner(fleet), *_summary(fleet)], is_open=True),
             Section(
                 "Findings",
                 [
@@ -94,6 +85,12 @@ def fleet_report(fleet: Fleet) -> Document:
         ],
         kind="Fleet",
     )
+
+
+def _summary(fleet: Fleet) -> list[str]:
+    """What was done, what was decided, and what is not labelled, a paragraph each."""
+    parts = [counts_text(fleet), rates_text(fleet), *unlabelled_text(fleet)]
+    return [f"{_upper(text)}." for text in parts]
 
 
 _WORDS = (

@@ -33,7 +33,7 @@ def fleet_document(fleet: Fleet) -> Document:
             Table(
                 effect_head(fleet), [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)
             ),
-            *labelled("unlabelled", unlabelled_text(fleet)),
+            *labelled("no asset", unlabelled_text(fleet)),
             *labelled("undecided", _grouped(fleet.undecided)),
             *labelled("refused", _grouped(fleet.refusals)),
             *(

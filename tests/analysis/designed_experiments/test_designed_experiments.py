@@ -11,7 +11,7 @@ import pytest
 import casid
 from analysis.designed_experiments import ship
 from analysis.designed_experiments.pairs import PAIRS, Pair
-from analysis.designed_experiments.study import STUDY, targets_of
+from analysis.designed_experiments.study import STUDY, growth, targets_of
 
 
 def row(**changed: Any) -> dict[str, Any]:
@@ -48,6 +48,14 @@ def test_each_pair_names_causes_of_its_model_and_limits_it_has(pair: Pair) -> No
     assert pair.duration[0] < pair.duration[1]
     assert pair.Ts <= pair.interval < pair.duration[0]
     assert isinstance(casid.Aim.separate(*pair.causes), casid.Aim)
+
+
+def test_the_growth_is_the_power_of_the_length_near_the_one_that_decides() -> None:
+    """Where energies grow with T^4, a gain of 16 halves the record."""
+    tried = [{"duration": d, "share": (d / 2.0) ** 4} for d in (1.5, 1.8, 2.1, 3.0)]
+    assert growth(tried) == pytest.approx(4.0, rel=1e-9)
+    assert growth([{"duration": 2.0, "share": 1.0}]) is None
+    assert growth([{"duration": 2.0, "share": 0.0}, {"duration": 3.0, "share": 1.0}]) is None
 
 
 def test_shares_that_chance_does_not_explain_are_missed_targets() -> None:
