@@ -93,6 +93,10 @@ _OF_RELATIVES = {
 }
 
 
+_FORCES = ("force", "torque", "moment")
+"""Balances that are called by what restores in them."""
+
+
 _OF_COMMANDS = {
     "backlash": "the command {where} acts through play (backlash)",
     "deadzone": "the command {where} acts only beyond a dead zone",
@@ -106,7 +110,8 @@ def says_kind(kind: str, where: str, *, is_relative: bool = False, is_command: b
     if is_relative and kind in _OF_RELATIVES:
         return _OF_RELATIVES[kind].format(where=where)
     place = f"the relative motion {where}" if is_relative else f"the {where} balance"
-    restoring = f"the spring that acts on {where}" if is_relative else f"the restoring {where}"
+    restoring = f"the restoring {where if where in _FORCES else f'term of {place}'}"
+    restoring = f"the spring that acts on {where}" if is_relative else restoring
     own, _, source = where.partition("~")
     return _SAYS[kind].format(where=where, place=place, restoring=restoring, own=own, source=source)
 

@@ -10,7 +10,7 @@ import pytest
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.verdict.sentences import verdict_sentence
+from casid.diagnosis.verdict.sentences import says_kind, verdict_sentence
 from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
@@ -95,3 +95,15 @@ def test_another_variant_of_the_same_effect_leaves_nothing_open():
     cause = Cause("hold", "u", 1e-9, (), (other,), sentence="the input u is linear")
     assert cause.tied == ()
     assert "separate" not in advice("deficient", [cause], None, "")
+
+
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        ("torque", "the restoring torque is not linear"),
+        ("p", "the restoring term of the p balance is not linear"),
+        ("body", "the restoring term of the body balance is not linear"),
+    ],
+)
+def test_what_restores_is_called_by_the_balance_only_where_that_is_a_force(where, words):
+    assert words in says_kind("cubic_stiffness", where)
