@@ -158,6 +158,11 @@ class Prewhitening:
         "units of log-likelihood by which a further round under a disturbance has to gain",
         f"{TESTS}/search/test_disturbances.py",
     )
+    near_bound: float = _is(
+        1e-6,
+        "of a parameter, or of its scale: so near its bound it is held there",
+        f"{TESTS}/evidence/test_prewhitening.py",
+    )
     steps: int = _is(40, "Gauss-Newton steps towards the root without bias", POWER_STUDY)
     patience: int = _is(8, "steps that come no nearer before it is given up", POWER_STUDY)
     nearer: float = _is(0.98, "of the shortest step so far: one that comes nearer", POWER_STUDY)

@@ -19,7 +19,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.model.quantities import quantity_text
-from casid.model.units import difference_from_si, difference_to_si
+from casid.model.units import difference_from_si, difference_to_si, same_dimension
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,13 @@ class Disturbance:
         return self.peak + 0.5 * self.bandwidth
 
     def in_units(self, units: Mapping[str, str]) -> Disturbance:
-        """The same in the unit that `units` has for its balance."""
+        """The same in the unit that `units` has for its balance.
+
+        A law of a state is a balance by the state's name: its unit is not that of the state.
+        """
         unit = units.get(self.where, self.unit)
+        if not same_dimension(unit, self.unit):
+            return self
         std = float(difference_from_si(difference_to_si(self.std, self.unit), unit))
         return replace(self, std=std, unit=unit)
 

@@ -22,6 +22,7 @@ from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor, white_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.unknowns import Variable
 from casid.model.model import Model
 
 NEAR = Solver(
@@ -128,7 +129,7 @@ class Weighing:
         yield found
         c, x = found.criterion, found.fit.x.copy()
         for i, v in enumerate(c.variables):
-            if v.source in c.model.parameters and not v.lower < x[i] < v.upper:
+            if v.source in c.model.parameters and _is_at_bound(v, float(x[i])):
                 x[i] = np.clip(c.model.parameters[v.source].start, v.lower, v.upper)
         if not np.array_equal(x, found.fit.x):
             try:
@@ -292,6 +293,12 @@ def _at_point(at: Weighted) -> float:
     samples = [d.N for d in at.criterion.data]
     logs = sum(at.noise.log_determinant(e, n) for e, n in enumerate(samples))
     return at.fit.solution.value + 0.5 * logs
+
+
+def _is_at_bound(v: Variable, value: float) -> bool:
+    """True at a bound, or as near as a solver that stays inside comes."""
+    near = PREWHITENING.near_bound * max(abs(value), v.scale)
+    return bool(not v.lower + near < value < v.upper - near)
 
 
 def _moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:

@@ -81,3 +81,9 @@ def test_a_disturbance_has_the_unit_that_is_requested_and_a_spectrum_in_words():
     assert "a band 0.2 Hz wide around 1.4 Hz" in narrow.sentence
     assert "most of its power below 1.7 Hz" in replace(narrow, bandwidth=2.0, peak=0.7).sentence
     assert "flat spectrum" in replace(narrow, bandwidth=None, peak=None).sentence
+
+
+def test_the_law_of_a_state_does_not_have_the_states_unit():
+    """dw/dt = ... is called by its state, in rpm; a force in it is in rad/s^2."""
+    wind = Disturbance("w", 0.13, "rad/s^2", 0.9)
+    assert wind.in_units({"w": "rpm"}) == wind
