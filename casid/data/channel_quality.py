@@ -100,19 +100,22 @@ _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
 def stuck_channels(
-    record: Record, channels: Iterable[str], *, least: float = 0.0
+    record: Record, channels: Iterable[str], *, least: float = 0.0, are_measured: bool = True
 ) -> tuple[Finding, ...]:
     """What `check` finds of channels that rest, or stand at an extreme as a limit leaves them.
 
     Parameters
     ----------
     least : share of the record that a channel has to stand there for.
+    are_measured : False of commands, which no sensor cuts off: they may rest at a limit.
     """
     found = []
     for numbers, findings in (channel_quality(record, c) for c in channels if c in record):
         if numbers.at_extreme >= least * record.N:
             found += [
-                f for f in findings if f.text.startswith(_CONSTANT) or f.text.endswith(_CLIPPED)
+                f
+                for f in findings
+                if f.text.startswith(_CONSTANT) or (are_measured and f.text.endswith(_CLIPPED))
             ]
     return tuple(found)
 

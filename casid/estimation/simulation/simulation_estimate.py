@@ -74,13 +74,16 @@ class ErrorBars:
 def channel_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
     """Warnings of inputs with gaps, and of channels that are constant or at a limit.
 
-    Inputs have to be so for a tenth of the record.
+    Inputs have to be so for a tenth of the record; commands may rest at a limit.
     """
+    commands = [name for name, u in model.inputs.items() if u.kind == "known"]
+    measured = [name for name in model.inputs if name not in commands]
+    groups = ((measured, 0.1, True), (commands, 0.1, False), (model.outputs, 0.0, True))
     return gap_notes(experiments) + [
         f"{e.name}: {f.channel}: {f.text} {f.remedy}"
         for e in experiments
-        for channels, least in ((model.inputs, 0.1), (model.outputs, 0.0))
-        for f in stuck_channels(e.record, channels, least=least)
+        for names, least, are_measured in groups
+        for f in stuck_channels(e.record, names, least=least, are_measured=are_measured)
     ]
 
 

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 import casid
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
+from casid.estimation.simulation.simulation_estimate import channel_notes
 
 ONE = FitSettings(starts=1, substeps=1)
 
@@ -88,3 +89,19 @@ def test_a_step_that_is_too_long_for_the_model_is_not_fitted_with(amplitude, Ts,
     fit = fit_model(m, [clamped(amplitude, Ts)], FitSettings(), start=start)
     for name, truth in (("R", 25.0), ("C", 1.8e-6)):
         assert fit.values[name] == pytest.approx(truth, abs=5 * std_error(fit, name), rel=0)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_command_may_rest_at_its_limit_but_a_measured_input_may_be_clipped_there(known):
+    """A heater at its least power for a while, and a sensor that shows no less."""
+    m = casid.Model("heated plate")
+    T, P = m.state("T", "K"), m.input("P", "W", hold="zoh", known=known)
+    G = m.parameter("G", "W/K", start=1.0, lower=0.01)
+    m.balance(T, "heat", inertia=m.constant("C", 500.0, "J/K"), terms=[P, -G * T])
+    m.output("T", T, "K")
+    power = np.random.default_rng(1).uniform(20.0, 90.0, 400)
+    power[200:250] = 5.0
+    off = {"P": power, "T": np.zeros(400)}
+    record = casid.Record(off, {"P": "W", "T": "K"}, Ts=10.0)
+    notes = channel_notes(m, [casid.Experiment(record, {}, "plate")])
+    assert any("P: 50 equal samples at the minimum" in n for n in notes) is not known
