@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -23,8 +23,6 @@ _QUIET: dict[str, dict[str, Any]] = {
         "ipopt.acceptable_tol": 1e-7,
         "ipopt.mu_strategy": "adaptive",
         "ipopt.bound_relax_factor": 0.0,
-        # Its watchdog takes a step that raises the criterion, and may end at such a point.
-        "ipopt.watchdog_shortened_iter_trigger": 0,
     },
     "sqpmethod": {
         "print_header": False,
@@ -94,6 +92,21 @@ class Solver:
                 _QUIET_QP.get(str(merged["qpsol"]), {"error_on_fail": False})
             )
         return merged
+
+
+def descending(solver: Solver | None) -> Solver | None:
+    """The same without steps that raise the objective, None where there is nothing to leave out.
+
+    After ten shortened steps Ipopt's watchdog takes a whole one on trial, as progress along curved
+    constraints may need. Where a whole step is far too long, a search was seen to end there.
+    """
+    chosen = solver or Solver()
+    if chosen.name != "ipopt" or _WATCHDOG in chosen.options:
+        return None
+    return replace(chosen, options={**chosen.options, _WATCHDOG: 0})
+
+
+_WATCHDOG = "ipopt.watchdog_shortened_iter_trigger"
 
 
 def limited(options: Mapping[str, Any], solver: Solver) -> dict[str, Any]:

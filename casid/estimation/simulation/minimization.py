@@ -14,7 +14,7 @@ from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveE
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
-from casid.estimation.nlp.solver import Solver
+from casid.estimation.nlp.solver import Solver, descending
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 from casid.time_limit import require_time, seconds_left
@@ -163,8 +163,14 @@ def _starts(left: int, starts: int) -> str:
 
 
 def _solved(nlp: Nlp, criterion: SimulationError, solver: Solver | None, point: Array) -> Solution:
-    """Where the solver ends from `point` (n,); refuses an end without finite derivatives."""
+    """Where the solver ends from `point` (n,); refuses an end without finite derivatives.
+
+    An end above where it began is none: it is sought once more, without steps that rise.
+    """
     solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
+    again = None if solution.is_converged else descending(solver)
+    if again is not None and not solution.value <= criterion.evaluate(point).value:
+        solution = nlp.solve(again, point.tolist(), throw=False, natural_scales=True)
     if not (np.isfinite(solution.value) and np.all(np.isfinite(solution.hessian))):
         there = zip(solution.names, solution.x.tolist(), strict=True)
         raise SolveError(

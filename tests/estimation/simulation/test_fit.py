@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,7 +11,11 @@ from scipy.integrate import solve_ivp
 
 import casid
 from casid.diagnosis.evidence.robust_errors import std_error
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solver import descending
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulation_estimate import channel_notes
 
 ONE = FitSettings(starts=1, substeps=1)
@@ -105,3 +111,25 @@ def test_a_command_may_rest_at_its_limit_but_a_measured_input_may_be_clipped_the
     record = casid.Record(off, {"P": "W", "T": "K"}, Ts=10.0)
     notes = channel_notes(m, [casid.Experiment(record, {}, "plate")])
     assert any("P: 50 equal samples at the minimum" in n for n in notes) is not known
+
+
+def test_an_end_above_where_the_search_began_is_sought_again_without_steps_that_rise(monkeypatch):
+    """Ipopt's watchdog once ended at 1e41 from 66: a stand-in for it returns a worse point."""
+    m = casid.Model("decay")
+    x, k = m.state("x", "m"), m.parameter("k", "1/s", start=0.5, lower=0.01)
+    m.derivative(x, -k * x)
+    m.output("x", x, "m")
+    y = np.exp(-0.1 * np.arange(100)) + 0.01 * np.random.default_rng(2).standard_normal(100)
+    criterion = SimulationError(m, [casid.Experiment(casid.Record({"x": y}, {"x": "m"}, Ts=0.1))])
+    solve, solvers = Nlp.solve, []
+
+    def runs_away(self, solver=None, *args, **more):
+        solvers.append(solver)
+        found = solve(self, solver, *args, **more)
+        return found if len(solvers) > 1 else replace(found, value=1e41, scaled_gradient=1.0)
+
+    monkeypatch.setattr(Nlp, "solve", runs_away)
+    fit = minimize_simulation_error(criterion)
+    assert [s is not None and descending(s) is None for s in solvers] == [False, True]
+    assert fit.solution.is_converged
+    assert fit.values["k"] == pytest.approx(1.0, abs=0.05)
