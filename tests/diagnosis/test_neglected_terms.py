@@ -184,3 +184,54 @@ def test_a_pump_that_gives_more_than_it_is_told_has_a_gain_error() -> None:
     record = casid.Record(columns, {**names, "hot_out": "K", "cold_out": "K"}, Ts=5.0)
     found = casid.diagnose(casid.Problem("exchanger", m), record, advise=False)
     only_cause(found, "sensor_scale", "F_hot", 1 / 1.1 - 1)
+
+
+# -- a chemostat whose cells use sugar to stay alive ----------------------------------------------
+
+
+def chemostat() -> casid.Problem:
+    m = casid.Model("chemostat")
+    X = m.state("X", "gram/L", start=5.0, lower=0.0)
+    S = m.state("S", "gram/L", start=1.0, lower=0.0)
+    D = m.input("D", "1/h", hold="zoh", known=True)
+    mu = m.parameter("mu", "1/h", start=0.3, lower=0.05, upper=1.0)
+    K = m.parameter("K", "gram/L", start=0.5, lower=0.01, upper=10.0)
+    Y = m.parameter("Y", "1", start=0.45, lower=0.1, upper=1.0)
+    growth = mu * S / (K + S) * X
+    m.balance(X, "biomass", inertia=1, terms=[growth, -D * X], unit="gram/(L h)")
+    feed = m.constant("S_f", 10.0, "gram/L")
+    m.balance(S, "sugar", inertia=1, terms=[-growth / Y, D * (feed - S)], unit="gram/(L h)")
+    m.output("cells", X, "gram/L")
+    m.output("rest", S, "gram/L")
+    return casid.Problem("chemostat", m, starts=1)
+
+
+@pytest.mark.parametrize(
+    ("where", "maintenance", "death"), [("sugar", 0.03, 0.0), ("biomass", 0.0, 0.01)]
+)
+def test_what_cells_use_beside_growth_and_what_dies_are_in_proportion_to_them(
+    where: str, maintenance: float, death: float
+) -> None:
+    """Maintenance in g of sugar an hour for each g of cells (Pirt 1965), and death in 1/h.
+
+    Without cells there is no growth: their loss has no level of rest but zero.
+    """
+    rng, N, Ts = np.random.default_rng(3), 400, 0.5
+
+    def slope(x: Array, u: Array) -> Array:
+        cells, sugar = x
+        growth = 0.35 * sugar / (0.6 + sugar) * cells
+        uptake = growth / 0.5 + maintenance * cells
+        return np.array([growth - (u[0] + death) * cells, -uptake + u[0] * (10.0 - sugar)])
+
+    # Two batches in one record: the cells grow from a fiftieth, and are diluted again.
+    D = np.where((np.arange(N) % 200 > 120) & (np.arange(N) < 200), 0.33, 0.0)
+    D += np.where(np.arange(N) % 200 < 120, held(rng, 0.0, 0.1, 20, N), 0.0)
+    path = integrated(slope, np.array([0.1, 9.0]), D[:, None], Ts)
+    noisy = path + 0.03 * rng.standard_normal(path.shape)
+    channels = {"D": D / 3600.0, "cells": noisy[:, 0], "rest": noisy[:, 1]}
+    units = {"D": "1/s", "cells": "kg/m^3", "rest": "kg/m^3"}
+    record = casid.Record(channels, units, Ts=3600.0 * Ts)
+    found = casid.diagnose(chemostat(), record, advise=False)
+    only_cause(found, "unknown", where, (maintenance + death) / 3600.0)
+    assert [p.name for p in found.causes[0].parameters] == ["c_X"]

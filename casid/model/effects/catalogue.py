@@ -53,6 +53,7 @@ from casid.model.effects.unnamed_effects import (
     linear_restoring_force,
     power_law,
     unnamed_effects,
+    uptakes_of,
 )
 from casid.model.model import Model
 
@@ -88,6 +89,7 @@ def catalogue(
     for state, ends in sizes.ranges.items():
         law = power_law(model, state, sizes.rates[state]) if is_positive(ends) else None
         effects += [law] if law is not None else []
+    effects += uptakes_of(model, sizes.ranges)
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         effects.append(sensor_bias(model, channel))

@@ -7,7 +7,7 @@ and how it grows, but nothing that a textbook names.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model
-from casid.model.units import quantity_of
+from casid.model.units import quantity_of, unit_quotient
 
 Expr = Any  # a CasADi expression
 
@@ -107,11 +107,14 @@ def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None
 
     A loss or viscous friction that the model leaves out: drag, or a valve that an input opens, is
     another resistance. Of a rate that stays away from zero, about
-    which `about` is searched first, v_0 is estimated, as the temperature of a room. What passes to
+    which `about` is searched first, v_0 is estimated, as the temperature of a room; where the rest
+    of the balance vanishes with v, as growth does with the cells, v_0 is zero. What passes to
     another balance is no loss.
     """
     place = place_named(model, where)
     rows = {n: b.total for n, b in model.balances.items()}
+    if place.where in rows and _vanishes_with(rows[place.where], place.velocity):
+        about = 0.0
     slopes = {n: ca.jacobian(row, place.velocity) for n, row in (rows | model._rates).items()}
     own = slopes.pop(place.where)
     others, moving = ca.vertcat(*slopes.values()), {*model.states, *model.inputs}
@@ -162,6 +165,49 @@ def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
         description=f"a {quantity_of(place.unit)} in proportion to {place.position_name}, "
         "which the model leaves out",
     )
+
+
+def uptakes_of(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Iterator[Effect]:
+    """-c x in the balance of another quantity, where x so far acts with that quantity alone.
+
+    Of a reaction between the two, as growth is of cells and sugar: what cells use up to stay alive,
+    or make of nothing that is modelled. `ranges` are the lowest and highest values of states, of
+    which x has to stay positive.
+    """
+    states = ca.vertcat(*[model.symbol(name) for name in model.states])
+    for place in (place_named(model, balance) for balance in model.balances):
+        for name, ends in ranges.items():
+            x, rate = model.symbol(name), model.balances[place.where].rate
+            if place.is_mechanical or name == rate or not is_positive(ends):
+                continue
+            slope = ca.jacobian(model.balances[place.where].total, x)
+            if not any(ca.which_depends(slope, states)):
+                continue
+            unit = unit_quotient(place.unit, model.states[name].unit)
+            yield force_along(
+                place,
+                "unknown",
+                Parameter(f"c_{name}", unit, 0.0),
+                _taken(x),
+                priority=UNNAMED_EFFECTS.priority,
+                shape=name,
+                description=f"a {quantity_of(place.unit)} in proportion to {name}, which the "
+                "model leaves out",
+            )
+
+
+def _taken(x: Expr) -> Callable[[Any], Expr]:
+    """What takes c x away, as a function of c."""
+    return lambda c: -c * x
+
+
+def _vanishes_with(side: Expr, symbol: Expr) -> bool:
+    """True if an expression is zero wherever a symbol is, against what it is at random points."""
+    others = ca.symvar(ca.veccat(side, symbol))
+    both = ca.Function("sides", others, [ca.substitute(side, symbol, 0.0), side])
+    rng = np.random.default_rng(3)
+    draws = [both(*rng.uniform(0.2, 1.7, len(others))) for _ in range(3)]
+    return all(abs(float(at_zero)) <= 1e-12 * abs(float(there)) for at_zero, there in draws)
 
 
 def _symbols(expression: Any) -> set[str]:
