@@ -158,12 +158,11 @@ def _poorly_determined(e: Estimate) -> Iterator[tuple[str, str]]:
     }
     poor = sorted((r, name) for name, r in relative.items() if r > LARGEST_RELATIVE)[::-1]
     if poor:
-        listed = ", ".join(
-            f"{name} ({percent_text(100 * r) if r < 1 else 'more than its value'})"
-            for r, name in poor
-        )
+        sizes = [percent_text(100 * r) if r < 1 else "more than 100 %" for r, _ in poor]
+        sizes[0] = f"standard error {sizes[0]} of the value"
+        listed = ", ".join(f"{name} ({s})" for s, (_, name) in zip(sizes, poor, strict=True))
         yield (
-            f"Poorly determined: {listed}, the standard error relative to the value in brackets.",
+            f"Poorly determined: {listed}.",
             "Record for longer or with a stronger excitation; casid design PROBLEM --estimate "
             f"{','.join(name for _, name in poor)} finds the best one.",
         )
