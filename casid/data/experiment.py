@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from casid.arrays import BoolArray
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.pickling import PickledByFields
@@ -31,6 +32,8 @@ class Experiment(Viewed, PickledByFields):
     window : int
         Samples that are simulated from one initial state, each such window of the record from its
         own; 0: the whole record from one. For unstable models, which no record is simulated with.
+    filled : mapping of input to (N,) bool array
+        Samples of inputs that were not recorded, but are filled in the record.
     """
 
     record: Record
@@ -38,6 +41,7 @@ class Experiment(Viewed, PickledByFields):
     name: str = ""
     unused: Mapping[str, str] = field(default_factory=dict)
     window: int = 0
+    filled: Mapping[str, BoolArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.record, Record):
@@ -60,6 +64,7 @@ class Experiment(Viewed, PickledByFields):
         object.__setattr__(self, "known", MappingProxyType(known))
         object.__setattr__(self, "name", self.name or self.record.name)
         object.__setattr__(self, "unused", MappingProxyType(dict(self.unused)))
+        object.__setattr__(self, "filled", MappingProxyType(dict(self.filled)))
 
     def __repr__(self) -> str:
         known = ", ".join(f"{n} = {v:g}" for n, v in self.known.items()) or "nothing known"

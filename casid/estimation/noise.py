@@ -145,6 +145,13 @@ class NoiseModel:
             return partial.whiten(columns)
         return self._innovations_of(experiment, len(columns)).whiten(columns)
 
+    def weighted(self, columns: Array, experiment: int) -> Array:
+        """The inverse of a complete record's covariance times columns (N, ny, m), weighted."""
+        if not any(self.source_sd.values()):
+            return np.asarray(columns / ((self.output_sd * self.weights) ** 2)[None, :, None])
+        of = self._innovations_of(experiment, len(columns))
+        return of.transposed(of.whiten(columns))
+
     def seen(self, white: Array, experiment: int) -> Array:
         """Columns (N, ny, m), whitened as of a complete record, less what missing samples took."""
         used = self._used_of(experiment, len(white))
@@ -241,6 +248,7 @@ def estimate_noise(
     responses: Sequence[Response] | None = None,
     has_disturbances: bool = True,
     windows: Sequence[BoolArray] | None = None,
+    absorbed: Sequence[Array] | None = None,
 ) -> NoiseModel:
     """Estimate (1) from the residuals at `x` by Fisher scoring of Whittle's likelihood.
 
@@ -255,6 +263,7 @@ def estimate_noise(
     responses : of the experiments, where they are known already.
     has_disturbances : False: of sensors and measured inputs alone.
     windows : (N, ny) an experiment, the samples that `residuals` have; default those that count.
+    absorbed : what the fit took out of the spectra (`absorbed_noise`); default nothing.
     """
     known = dict(known or {})
     ny = len(criterion.outputs)
@@ -271,7 +280,7 @@ def estimate_noise(
     names = [*criterion.outputs, *sources]
     given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
     used = [d.used.copy() for d in criterion.data]
-    spectra = spectra_of(residuals, responses, sources, ny, windows or used)
+    spectra = spectra_of(residuals, responses, sources, ny, windows or used, absorbed=absorbed)
     require_finite("the residual's spectra", spectra.power, spectra.design)
     value = variances(spectra, given)
     output_sd = np.sqrt(np.maximum(value[:ny], spectra.least))
@@ -389,9 +398,13 @@ def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict
     The upper half band of every record is cut into twenty parts. The quietest quarter of all parts
     is averaged, and divided by what that would be, of 1, for white noise alone: the parts of a
     tapered periodogram are Gamma distributed, and the quietest lie below the mean. A command that
-    is held has steps up to Nyquist, but no noise: that would not repeat its values.
+    is held has steps up to Nyquist, but no noise: that would not repeat its values. Samples that
+    were filled do not count.
     """
-    columns = {name: [d.u[:, i] for d in signals] for i, name in enumerate(inputs)}
+    columns = {
+        name: [d.u[~d.filled[name], i] if name in d.filled else d.u[:, i] for d in signals]
+        for i, name in enumerate(inputs)
+    }
     return {name: 0.0 if is_held(c) else white_floor(c) for name, c in columns.items()}
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from casid.arrays import Array
+from casid.estimation.filled_noise import filled_spectrum
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import rk4_sample
@@ -35,6 +36,7 @@ def noise_response(
     """|G|^2 from every measured input and every balance to the outputs, linearised at the mean.
 
     The step of the simulation itself is linearised, so the response is that of what is simulated.
+    Of an input that is filled between its samples it is that of the noise of those.
 
     Parameters
     ----------
@@ -75,6 +77,9 @@ def noise_response(
     rhs = (b0 + z[:, None, None] * b1) @ enters
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
     g = g * _sensor_stages(criterion, x, experiment, len(omega) - 1)[:, :, None]
+    for name in set(measured) & set(d.filled):
+        spectrum = filled_spectrum(d.filled[name], model.inputs[name].hold, omega)
+        g[:, :, measured.index(name)] *= np.sqrt(spectrum)[:, None]
     return Response(omega, np.abs(g) ** 2, (*measured, *model.balances), g)
 
 

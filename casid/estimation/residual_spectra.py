@@ -42,6 +42,7 @@ def spectra_of(
     ny: int,
     windows: Sequence[Array],
     envelopes: Sequence[Array] | None = None,
+    absorbed: Sequence[Array] | None = None,
 ) -> Spectra:
     """Periodograms of residuals (N, ny) in bands, and the responses to `sources` there.
 
@@ -51,15 +52,24 @@ def spectra_of(
         such the responses are those of the periodogram's mean, whatever the gaps (Guillaumin,
         Sykulski, Olhede and Simons, J. R. Stat. Soc. B 84 (2022) 1526-1557).
     envelopes : the windows as they were without missing samples; ones by default.
+    absorbed : (N // 2 + 1, ny, ny + ns) that a fit adds to the mean periodogram of each output, per
+        variance of the outputs and of all sources of the responses; nothing by default.
     """
     envelopes = envelopes or [np.ones_like(w, dtype=float) for w in windows]
     rows, powers, counts, centres, outputs = [], [], [], [], []
-    for r, response, window, whole in zip(residuals, responses, windows, envelopes, strict=True):
+    for e, (r, response, window, whole) in enumerate(
+        zip(residuals, responses, windows, envelopes, strict=True)
+    ):
         places = [response.sources.index(source) for source in sources]
         for i, (power, gain2, count, omega) in enumerate(_bins(r, response, window, whole)):
             own = np.zeros((len(power), ny))
             own[:, i] = np.mean(np.asarray(window[:, i], dtype=float) ** 2)
-            rows.append(np.hstack([own, gain2[:, places]]))
+            row = np.hstack([own, gain2[:, places]])
+            if absorbed is not None:
+                of = [*range(ny), *(ny + place for place in places)]
+                edges = band_edges(len(r))[:-1]
+                row += np.add.reduceat(absorbed[e][:, i, of], edges) / count[:, None]
+            rows.append(np.maximum(row, 0.0))
             powers.append(power)
             counts.append(count)
             centres.append(omega)

@@ -36,6 +36,7 @@ from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
 
 from casid.arrays import TINY, Array, BoolArray
+from casid.estimation.filled_noise import filled_spectrum
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -103,7 +104,13 @@ def columns_of(
         for j, name in enumerate(sorted(n for n in inputs if input_sd.get(n, 0.0) > 0)):
             w = np.zeros(d.u.shape)
             rng = np.random.default_rng((seed, e, j))
-            w[:, inputs.index(name)] = input_sd[name] * flat_noise(d.N, rng)
+            own = flat_noise(d.N, rng)
+            if name in d.filled:
+                hold = criterion.model.inputs[name].hold
+                omega = np.linspace(0.0, 2 * np.pi * (d.N // 2) / d.N, d.N // 2 + 1)
+                root = np.sqrt(filled_spectrum(d.filled[name], hold, omega))
+                own = irfft(root * rfft(own), d.N)
+            w[:, inputs.index(name)] = input_sd[name] * own
             whole = replace(d, used=np.ones_like(d.used))
             up, down = (_simulated(criterion, x, e, replace(whole, u=d.u + s * w)) for s in (1, -1))
             moved, turned = (0.5 * (a - b) for a, b in zip(up, down, strict=True))

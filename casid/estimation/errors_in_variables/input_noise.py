@@ -16,11 +16,12 @@ from scipy.fft import rfft
 from scipy.stats import chi2
 
 from casid.arrays import TINY, Array, BoolArray
+from casid.estimation.absorbed_noise import absorbed
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.missing_samples import unbroken
 from casid.estimation.noise import NoiseModel, estimate_noise, floor_error, input_noise_floor
-from casid.estimation.noise_response import Response
+from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -94,13 +95,15 @@ def input_noise(
     ----------
     before : the noise found nearby, if it was: missing samples are drawn from it first.
     """
-    seen = _Residuals(criterion, x, known)
-    noise = seen.noise(before)
+    seen = _Residuals(criterion, x, known, before)
+    noise = seen.noise()
     inputs = criterion.model.inputs
     floors = input_noise_floor(criterion.data, list(inputs))
     measured = [n for n, u in inputs.items() if u.kind == "measured"]
-    relative = floor_error([d.N for d in criterion.data])
-    errors = {n: 0.0 if n in known else relative * floors[n] ** 2 for n in measured}
+    errors = {
+        n: 0.0 if n in known else floor_error(_recorded(criterion, n)) * floors[n] ** 2
+        for n in measured
+    }
     exact = [n for n in measured if 0 < errors[n] < noise.variance_error(n)]
     at_floor: tuple[str, ...] = ()
     if exact:
@@ -114,6 +117,11 @@ def input_noise(
     return InputNoise(noise, {n: known.get(n, floors[n]) ** 2 for n in measured}, errors, at_floor)
 
 
+def _recorded(criterion: SimulationError, name: str) -> list[int]:
+    """Samples of an input that every record has."""
+    return [int(np.sum(~d.filled[name])) if name in d.filled else d.N for d in criterion.data]
+
+
 class _Residuals:
     """Residuals at `x`, and the noise that they show.
 
@@ -123,20 +131,41 @@ class _Residuals:
     rate of the share that is missing.
     """
 
-    def __init__(self, criterion: SimulationError, x: Array, known: Mapping[str, float]) -> None:
-        self.criterion, self.x, self.known = criterion, x, known
+    def __init__(
+        self,
+        criterion: SimulationError,
+        x: Array,
+        known: Mapping[str, float],
+        before: NoiseModel | None,
+    ) -> None:
+        self.criterion, self.x, self.known, self.before = criterion, x, known, before
         self.recorded = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
         self.residuals = self.recorded
         self.windows = [d.used for d in criterion.data]
-        self.responses: Sequence[Response] | None = None
+        self.responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
+        self.absorbed = absorbed(self.responses, *self._tangents())
         self.share = 1.0  # of the samples that the residuals have, those that were recorded
 
-    def noise(self, before: NoiseModel | None) -> NoiseModel:
+    def _tangents(self) -> tuple[list[Array], list[Array]]:
+        """T of every record, and what the estimate multiplies them by.
+
+        An estimate of least squares where there is no noise from before, else one under that.
+        """
+        c, tangents, weighted = self.criterion, [], []
+        for e, d in enumerate(c.data):
+            complete = replace(d, used=np.ones_like(d.used))
+            t = c.simulated(self.x, e, signals=None if d.used.all() else complete).jacobian
+            w = c.weights[None, :, None]
+            tangents.append(t)
+            weighted.append(t * w**2 if self.before is None else self.before.weighted(t * w, e) * w)
+        return tangents, weighted
+
+    def noise(self) -> NoiseModel:
         """The noise of few sources."""
         has_holes = any(not d.used.all() and unbroken(d.used) is None for d in self.criterion.data)
         if not has_holes:
             return self._of_few_sources()
-        found, fillings = before, REMOVAL.refillings
+        found, fillings = self.before, REMOVAL.refillings
         if found is None:
             found, fillings = self._of_few_sources(), REMOVAL.fillings
         rng = np.random.default_rng(0)
@@ -165,8 +194,8 @@ class _Residuals:
             responses=self.responses,
             has_disturbances=has_disturbances,
             windows=self.windows,
+            absorbed=self.absorbed,
         )
-        self.responses = found.responses
         wider = (2 - self.share) / self.share  # for what is missing, and for what was drawn
         return replace(found, covariance={k: wider * v for k, v in found.covariance.items()})
 

@@ -26,7 +26,7 @@ class Removal:
         _TEST,
     )
     agrees: float = _is(
-        0.95, "level of the likelihood ratio up to which a residual agrees with a floor", _TEST
+        0.99, "level of the likelihood ratio up to which a residual agrees with a floor", _TEST
     )
     steps: int = _is(20, "Gauss-Newton steps towards the root", _TEST)
     longest_step: float = _is(

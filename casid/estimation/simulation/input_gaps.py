@@ -106,7 +106,14 @@ def with_gaps_treated(
         If a record has no stretch that is long enough.
     """
     parts = [part for e in experiments for part in _parts(model, e)]
-    return [replace(e, record=_complete(model, e.record, beside)) for e in parts]
+    return [
+        replace(
+            e,
+            record=_complete(model, e.record, beside),
+            filled={n: e.record.missing[n] for n in recorded_inputs(model, e.record)} or e.filled,
+        )
+        for e in parts
+    ]
 
 
 def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, UnitError
@@ -30,6 +30,7 @@ class Signals:
     used: Array  # (N, ny) bool
     Ts: float
     known: Mapping[str, float]
+    filled: Mapping[str, BoolArray] = field(default_factory=dict)  # input -> (N,) not recorded
 
     @property
     def N(self) -> int:
@@ -65,6 +66,7 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
         used=used,
         Ts=record.Ts,
         known=model.in_si(experiment.known),
+        filled={name: mask for name, mask in experiment.filled.items() if len(mask) == n},
     )
 
 
