@@ -108,6 +108,8 @@ def identify(problem: str, **given: Any) -> None:
     if by_instruments:
         instruments.refuse(request, fit.starts, search.refused)
         instruments.freed(model)  # refused before anything is read
+    else:
+        model = instruments.declared(model)
     owned = own_parameters(model, search.own)
     with output.work(model.name) as (folder, progress):
         fitted, hold_out = request.experiments(model)

@@ -28,7 +28,7 @@ class InstrumentRequest:
 
     def __post_init__(self) -> None:
         if self.method != "instruments":
-            for option in ("reference", "lag", "free"):
+            for option in ("lag", "free"):
                 if getattr(self, option) is not None:
                     raise DataError(
                         f"--{option} belongs to instruments; add --method instruments, or leave "
@@ -59,6 +59,29 @@ class InstrumentRequest:
             if self.free is not None and name in _names(self.free):
                 raise DataError(f"--set {text} and --free {name} contradict; leave one of them out")
 
+    def declared(self, problem: Problem) -> Problem:
+        """The problem with the reference among its external signals, where there is one.
+
+        Raises
+        ------
+        DataError
+            If it records no such channel.
+        """
+        if self.reference is None:
+            return problem
+        self._require_reference([], problem)
+        return replace(problem, external=(self.reference,))
+
+    def _require_reference(self, others: Sequence[str], problem: Problem) -> None:
+        """Refuse a reference that the problem does not read, nor is one of `others`."""
+        channels = [*problem.recorded, *problem.model.inputs, *others]
+        if self.reference not in channels:
+            raise DataError(
+                f"--reference {self.reference}: problem {problem.name} reads no such channel"
+                f"{nearest(str(self.reference), channels)}. Declare it in the problem "
+                f"file: casid.Problem(..., recorded={{{self.reference!r}: unit}})"
+            )
+
     def freed(self, problem: Problem) -> tuple[Problem, tuple[str, ...] | None]:
         """The problem with the parameters of --free unknown, and their names (None: its own).
 
@@ -68,13 +91,7 @@ class InstrumentRequest:
             If the problem has no such parameter, a value is no number, or it records no such
             reference.
         """
-        channels = [*problem.recorded, *problem.model.inputs, *problem.model.outputs]
-        if self.reference not in channels:
-            raise DataError(
-                f"--reference {self.reference}: problem {problem.name} reads no such channel"
-                f"{nearest(str(self.reference), channels)}. Declare it in the problem "
-                f"file: casid.Problem(..., recorded={{{self.reference!r}: unit}})"
-            )
+        self._require_reference([*problem.model.outputs], problem)
         if self.free is None:
             return problem, None
         names, starts = [], {}
@@ -152,8 +169,9 @@ INSTRUMENT_OPTIONS = (
     click.option(
         "--reference",
         metavar="CHANNEL",
-        help="Recorded channel that drives the system and is independent of all disturbances; "
-        "instruments are simulated from it.",
+        help="Recorded channel that drives the system and is independent of all disturbances: "
+        "instruments are made of it where least squares is biased, or in any case with --method "
+        "instruments.",
     ),
     click.option(
         "--lag",

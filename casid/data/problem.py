@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from casid.data.derived import Derived, derive
 from casid.data.experiment import Experiment
+from casid.data.external_signals import external_signals
 from casid.data.problem_module import importing
 from casid.data.reading.columns import ColumnSpec, as_headed, resolve
 from casid.data.reading.file_format import FileFormat
@@ -65,6 +66,8 @@ class Problem(Viewed):
         diagnosis tests beside its catalogue (`casid.balance_effect` and its like).
     starts : how many starts an estimation tries.
     form : how the problem's files are written, where they leave it open, as the order of dates.
+    external : recorded channels or inputs that nothing in the experiment affects, as a reference:
+        where least squares is biased, `identify` makes instruments of the first.
     description, references : for reports.
     source : the file it was loaded from; worker processes load it again.
 
@@ -88,6 +91,7 @@ class Problem(Viewed):
     source: Path | None = None
     effects: Sequence[UserEffect] = field(default=(), kw_only=True)
     form: FileFormat | None = field(default=None, kw_only=True)
+    external: Sequence[str] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         from casid.model.dimensions import check_units
@@ -101,6 +105,8 @@ class Problem(Viewed):
         self._check_effects()
         signals = [*self.model.inputs, *self.model.outputs]
         self._check_derived(signals)
+        known = [*self.recorded, *self.model.inputs]
+        object.__setattr__(self, "external", external_signals(self.name, self.external, known))
         sources = {source for entry in self.derived.values() for source in entry.sources}
         for key in (*self.channels, *self.noise):
             if key not in signals and key not in self.recorded and key not in sources:

@@ -238,6 +238,20 @@ class NoiseModel:
         return self._innovations[experiment, samples]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """How residuals show the errors of which they are.
+
+    Attributes
+    ----------
+    windows : (N, ny) an experiment, the samples that there are.
+    absorbed : what the fit took out of the spectra (`absorbed_noise`); None: nothing.
+    """
+
+    windows: Sequence[BoolArray]
+    absorbed: Sequence[Array] | None = None
+
+
 def estimate_noise(
     criterion: SimulationError,
     x: Array,
@@ -247,8 +261,7 @@ def estimate_noise(
     merge: bool = True,
     responses: Sequence[Response] | None = None,
     has_disturbances: bool = True,
-    windows: Sequence[BoolArray] | None = None,
-    absorbed: Sequence[Array] | None = None,
+    seen_through: Seen | None = None,
 ) -> NoiseModel:
     """Estimate (1) from the residuals at `x` by Fisher scoring of Whittle's likelihood.
 
@@ -262,8 +275,8 @@ def estimate_noise(
     residuals : (N, ny) an experiment, default those at `x`.
     responses : of the experiments, where they are known already.
     has_disturbances : False: of sensors and measured inputs alone.
-    windows : (N, ny) an experiment, the samples that `residuals` have; default those that count.
-    absorbed : what the fit took out of the spectra (`absorbed_noise`); default nothing.
+    seen_through : which samples `residuals` have, and what the fit absorbed; default those that
+        count, and nothing.
     """
     known = dict(known or {})
     ny = len(criterion.outputs)
@@ -280,7 +293,8 @@ def estimate_noise(
     names = [*criterion.outputs, *sources]
     given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
     used = [d.used.copy() for d in criterion.data]
-    spectra = spectra_of(residuals, responses, sources, ny, windows or used, absorbed=absorbed)
+    shown = seen_through or Seen(used)
+    spectra = spectra_of(residuals, responses, sources, ny, shown.windows, absorbed=shown.absorbed)
     require_finite("the residual's spectra", spectra.power, spectra.design)
     value = variances(spectra, given)
     output_sd = np.sqrt(np.maximum(value[:ny], spectra.least))

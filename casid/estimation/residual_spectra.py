@@ -67,8 +67,9 @@ def spectra_of(
             row = np.hstack([own, gain2[:, places]])
             if absorbed is not None:
                 of = [*range(ny), *(ny + place for place in places)]
-                edges = band_edges(len(r))[:-1]
-                row += np.add.reduceat(absorbed[e][:, i, of], edges) / count[:, None]
+                edges = band_edges(len(r))
+                lines = np.diff(edges)[:, None]
+                row += np.add.reduceat(absorbed[e][:, i, of], edges[:-1]) / lines
             rows.append(np.maximum(row, 0.0))
             powers.append(power)
             counts.append(count)

@@ -30,13 +30,26 @@ def approach(
         )
     if found.text:
         out["noise on inputs"] = found.text
-    if found.why_not or feedback:
+    if found.why_not or feedback or found.reference:
         out["instruments"] = _instruments(problem, found)
+    elif problem.external:
+        out["instruments"] = "not needed: nothing shows that least squares is biased"
+        if found.is_removed:
+            out["instruments"] = "not needed: what remains after the removal of the bias is noise"
     return out
 
 
 def _instruments(problem: Problem, found: Corrected) -> str:
     """Whether a signal is recorded that may be a reference; which one no record can say."""
+    if found.reference:
+        name, apart = found.apart
+        return (
+            f"chosen, since feedback or noise on inputs biases least squares: made of "
+            f"{found.reference}, which is declared external. Least squares is off by "
+            f"{apart:.2g} standard errors in {name}"
+        )
+    if found.refused:
+        return f"not chosen, although {problem.external[0]} is declared external: {found.refused}"
     model = problem.model
     records = [e.record for e in found.fit.criterion.experiments]
     beside = [
@@ -52,5 +65,5 @@ def _instruments(problem: Problem, found: Corrected) -> str:
     names = " or ".join(beside)
     return (
         "not chosen: only you can know whether a disturbance affects a signal; if none affects "
-        f"{names}: --method instruments --reference {beside[0]}"
+        f"{names}: --reference {beside[0]}, or external={beside[0]!r} in the problem"
     )

@@ -42,6 +42,7 @@ from casid.estimation.simulation.simulation_estimate import (
     BIASED,
     COLOURED,
     CORRECTED,
+    INSTRUMENTED,
     ErrorBars,
     channel_notes,
     estimate_of,
@@ -50,6 +51,7 @@ from casid.estimation.simulation.simulation_estimate import (
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.approach import approach
 from casid.identification.disturbed import identify_disturbed
+from casid.identification.reference_instruments import instrumented
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.identification.unstable import fit_unstable
 from casid.model.model import Model
@@ -93,6 +95,7 @@ def identify(
     intervals : "auto": normal, and by the profile of the criterion for parameters at a bound or
         where the criterion is not the parabola that a normal interval takes it for (the numbers
         are in `QUADRATIC_TEST`); "quick": normal; "profile"; "bootstrap": from simulated records.
+        Those of instruments are normal.
     disturbances : as "torque:peak": in a balance, a state or an input that nobody measures;
         "white", "first" (order) or "peak"; by the prediction error of a Kalman filter. What is held
         out is then predicted one sample ahead; no interval is bootstrapped.
@@ -104,8 +107,9 @@ def identify(
         residuals. Several outputs count in units of the error that each leaves, the maximum of the
         likelihood for noise of unknown sizes. Where noise on measured inputs (those not declared
         `known`) biases least squares, the estimate is without that bias, and `method` and
-        `evidence` say so. Where the fit is poor, `suspects` names a channel that was probably
-        recorded with the wrong sign.
+        `evidence` say so; where that, or feedback, cannot be removed and the problem has an
+        `external` signal, it is by instruments. Where the fit is poor, `suspects` names a channel
+        that was probably recorded with the wrong sign.
 
     Raises
     ------
@@ -164,7 +168,8 @@ def identify(
         if estimate.is_converged:
             estimation = _estimation(problem, found, estimate, settings)
             patience = patience_since(began, budget)
-            found_intervals = chosen_intervals(estimation, intervals, undone, say, patience)
+            kind = "quick" if found.reference else intervals
+            found_intervals = chosen_intervals(estimation, kind, undone, say, patience)
             estimate = with_intervals(estimate, found_intervals)
     trust = replace(estimate.trust, not_done=tuple(undone.not_done))
     return _completed(replace(estimate, trust=trust), problem.model, structural)
@@ -192,6 +197,13 @@ def _estimate_of_fit(
     found = _corrected(problem, fit, settings, undone)
     with no_time_limit():  # a few passes over the record, without which there is no result
         feedback = feedback_notes(found.fit, found.noisy)
+    is_biased = bool(feedback) or (bool(found.why_not) and bool(found.noisy))
+    if problem.external and is_biased and found.fit.solution.is_converged:
+        say("instruments")
+        replaced = partial(instrumented, problem, found, split.fitted)
+        found = undone.attempt("instruments", replaced) or found
+        feedback = [] if found.reference else feedback
+    with no_time_limit():
         notes = channel_notes(problem.model, chosen)
         estimate = _estimate(problem, found, split, [*notes, *feedback])
         trust = Trust(
@@ -312,7 +324,10 @@ def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[
     if fit.criterion.segments > 1 and not split.is_empty:
         length = window_length(fit) * max(d.Ts for d in fit.criterion.data)
         method = f"{method}; held out in windows of {length:.2g} s"
-    if found.is_removed:
+    if found.reference:
+        method = f"instrumental variables from {found.reference}"
+        bars = ErrorBars(INSTRUMENTED, found.covariance)
+    elif found.is_removed:
         method = f"{method}, without the bias of input noise"
         bars = ErrorBars(CORRECTED, found.covariance, found.whiten)
     elif found.why_not:

@@ -20,7 +20,13 @@ from casid.estimation.absorbed_noise import absorbed
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.missing_samples import unbroken
-from casid.estimation.noise import NoiseModel, estimate_noise, floor_error, input_noise_floor
+from casid.estimation.noise import (
+    NoiseModel,
+    Seen,
+    estimate_noise,
+    floor_error,
+    input_noise_floor,
+)
 from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -193,8 +199,7 @@ class _Residuals:
             residuals=self.residuals,
             responses=self.responses,
             has_disturbances=has_disturbances,
-            windows=self.windows,
-            absorbed=self.absorbed,
+            seen_through=Seen(self.windows, self.absorbed),
         )
         wider = (2 - self.share) / self.share  # for what is missing, and for what was drawn
         return replace(found, covariance={k: wider * v for k, v in found.covariance.items()})

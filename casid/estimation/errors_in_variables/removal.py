@@ -36,6 +36,10 @@ class Corrected:
     whiten : what the covariance rests on, by the noise that was found.
     output_sd : (ny,) standard deviation of the noise of the outputs; None where the fit is as it
         was.
+    reference : recorded signal of which instruments were made in the place of least squares.
+    apart : with instruments, the parameter that least squares misses most, and by how many standard
+        errors.
+    refused : why no instruments were made of a declared reference.
     """
 
     fit: Fit
@@ -45,10 +49,13 @@ class Corrected:
     why_not: str = ""
     whiten: Whitener | None = None
     output_sd: Array | None = None
+    reference: str = ""
+    apart: tuple[str, float] = ("", 0.0)
+    refused: str = ""
 
     @property
     def is_removed(self) -> bool:
-        """True if the fit is one without the bias."""
+        """True if the fit is one without the bias, or of instruments."""
         return self.covariance is not None
 
     @property
@@ -72,6 +79,8 @@ class Corrected:
             for n, sd in self.input_sd.items()
             if sd > 0
         )
+        if self.reference:
+            return f"white noise on {sizes} at most is no bias to instruments"
         if self.is_removed and abs(worst) < REMOVAL.negligible:
             return (
                 f"white noise on {sizes} biases least squares by no more than "

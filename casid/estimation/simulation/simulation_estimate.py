@@ -48,6 +48,11 @@ CORRECTED = (
     "own errors are included; the bias of the inputs' noise is removed"
 )
 
+INSTRUMENTED = (
+    "instrumental variables: the reference is independent of all noise and disturbances, and the "
+    "model is right for what it drives"
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorBars:
