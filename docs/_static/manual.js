@@ -1,0 +1,7 @@
+// The button of the search shows its keys beside its name: a screen reader reads what is shown.
+document.addEventListener("DOMContentLoaded", function () {
+  document.querySelectorAll(".search-button-field[aria-label]").forEach(function (button) {
+    var shown = button.innerText.replace(/\s+/g, " ").trim();
+    if (shown) { button.setAttribute("aria-label", shown); }
+  });
+});
