@@ -11,6 +11,9 @@ from scipy.fft import irfft, rfft
 from casid.arrays import TINY, Array
 from casid.estimation.noise_response import Response
 
+TAKEN = 0.01
+"""Of the median of the next lines, below which a fit took the line at zero away (white: 7 %)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectra:
@@ -18,7 +21,7 @@ class Spectra:
 
     design: Array  # (B, ny + ns) |G|^2
     power: Array  # (B,)
-    count: Array  # (B,) frequencies of each band; the mean, which a fit takes away, is none
+    count: Array  # (B,) frequencies of each band; a mean that the fit took away is none
     omega: Array  # (B,) rad/sample, their mean
     output: Array  # (B,) index of the output
 
@@ -90,19 +93,19 @@ def _bins(
 ) -> list[tuple[Array, Array, Array, Array]]:
     """Periodogram and |G|^2 in bands of growing width: (power, gain2, count, omega) an output.
 
-    The line at zero does not count: initial states and what acts like them fit the residual's
-    mean, and an integrator would promise most of its power there.
+    The line at zero does not count where a fit took it away, as initial states and what acts like
+    them do: an integrator would promise most of its power there.
     """
     n = len(residual)
     omega = 2 * np.pi * np.arange(n // 2 + 1) / n
     edges = band_edges(n)
     lines = np.diff(edges)
     centre = np.add.reduceat(omega, edges[:-1]) / lines
-    count = lines.astype(float)
-    count[0] -= 1.0
     out = []
     for i in range(residual.shape[1]):
         spectrum = np.abs(rfft(residual[:, i])) ** 2 / n
+        count = lines.astype(float)
+        count[0] -= spectrum[0] < TAKEN * float(np.median(spectrum[1:9]))
         power = np.add.reduceat(spectrum, edges[:-1]) / lines
         columns = []
         for j in range(response.gain2.shape[2]):
