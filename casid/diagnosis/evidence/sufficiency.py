@@ -119,7 +119,8 @@ def _is_noise(e: Experiment, output: str, inputs: Sequence[str], tests: int) -> 
     return True
 
 
-def _still_inputs(c: SimulationError) -> str:
+def still_inputs(c: SimulationError) -> str:
+    """What to check of measured inputs that do not move, or an empty text."""
     return _check([n for n in _measured(c.model) if not _moving(c.experiments, [n])])
 
 
@@ -148,10 +149,10 @@ def why_undecided(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> 
     if loudest < 1.0:
         return (
             f"the simulated outputs move by only {loudest:.2g} of the noise: nothing excites the "
-            f"system enough to show what the model lacks{_still_inputs(c)}"
+            f"system enough to show what the model lacks{still_inputs(c)}"
         )
     if error_over_noise(fit, at.noise) < SUFFICIENCY.misfit and _none_is_known(at, std_error):
-        return f"no parameter has a standard error below its own size{_still_inputs(c)}"
+        return f"no parameter has a standard error below its own size{still_inputs(c)}"
     return ""
 
 
@@ -172,7 +173,7 @@ def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> s
         return ""
     return (
         f"the error of the model is {wrong:.2g} times the noise, and no parameter of it has a "
-        f"standard error below its own size{_still_inputs(fit.criterion)}"
+        f"standard error below its own size{still_inputs(fit.criterion)}"
     )
 
 

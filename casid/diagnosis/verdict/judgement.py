@@ -11,7 +11,7 @@ from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error
-from casid.diagnosis.evidence.sufficiency import weak_parameters
+from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
@@ -162,7 +162,10 @@ def _undecided(
     why = _why_undecided(found.baseline, unlike, disturbances)
     if why:
         return why, {}
-    return f"the fit holds {' and '.join(bounds.values())}" if bounds else "", bounds
+    if not bounds:
+        return "", bounds
+    still = still_inputs(found.base_fit.criterion)
+    return f"the fit holds {' and '.join(bounds.values())}{still}", bounds
 
 
 def _is_near_bound(fit: Fit, name: str) -> bool:
