@@ -43,7 +43,7 @@ from casid.model.effects.parameter_effects import (
 )
 from casid.model.effects.place import Place
 from casid.model.effects.places import places_of
-from casid.model.effects.search_ranges import FRICTION_RANGES, RANGES, SMOOTHING
+from casid.model.effects.search_ranges import CONTACT_RANGES, FRICTION_RANGES, RANGES, SMOOTHING
 from casid.model.effects.sensor_effects import sensor_effects_of
 from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
 from casid.model.effects.unnamed_effects import (
@@ -52,6 +52,7 @@ from casid.model.effects.unnamed_effects import (
     linear_loss,
     linear_restoring_force,
     power_law,
+    states_with_one_law,
     unnamed_effects,
     uptakes_of,
 )
@@ -86,9 +87,7 @@ def catalogue(
             for channel, unit in recorded.items():
                 reading = sizes.channels.get(channel)
                 effects += extra_inputs_of(model, place.where, channel, unit, reading)
-    for state, ends in sizes.ranges.items():
-        law = power_law(model, state, sizes.rates[state]) if is_positive(ends) else None
-        effects += [law] if law is not None else []
+    effects += _power_laws(model, sizes)
     effects += uptakes_of(model, sizes.ranges)
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
@@ -170,6 +169,17 @@ def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Eff
     return [e for e in found if e is not None]
 
 
+def _power_laws(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """The law of each positive state's flow, and one of those that the model takes as alike."""
+    positive = [state for state, ends in sizes.ranges.items() if is_positive(ends)]
+    groups: list[tuple[str, ...]] = [(state,) for state in positive]
+    groups += [g for g in states_with_one_law(model) if set(g) <= set(positive)]
+    for group in groups:
+        law = power_law(model, group, [sizes.rates[state] for state in group])
+        if law is not None:
+            yield law
+
+
 def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     """Stops of a mechanical position, or the overflow of a store that stays filled."""
     q = place.position if place.is_mechanical else place.velocity
@@ -183,7 +193,11 @@ def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     if not np.isfinite(reach) or reach <= 0.0:
         return []
     width = SMOOTHING.width * reach
-    return [end_stop(model, place, side, middle, reach, width) for side in sides]
+    return [
+        end_stop(model, place, side, middle, reach, width, start)
+        for side in sides
+        for start in CONTACT_RANGES.starts
+    ]
 
 
 def _parameter_variations(

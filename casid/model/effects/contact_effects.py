@@ -23,7 +23,13 @@ _VARIANT = {"both": 0.0, "upper": 1.0, "lower": -1.0}
 
 
 def end_stop(
-    model: Model, where: str | Place, side: Side, middle: float, reach: float, width: float
+    model: Model,
+    where: str | Place,
+    side: Side,
+    middle: float,
+    reach: float,
+    width: float,
+    start: float = CONTACT_RANGES.starts[-1],
 ) -> Effect | None:
     """A stop of stiffness k_stop that acts where the position is `limit` and more from a middle.
 
@@ -37,6 +43,7 @@ def end_stop(
     middle : q_0, of the motion met (position's SI unit).
     reach : half of the range met; the limit is searched within.
     width : e.
+    start : of `reach`, where the search for the limit starts.
     """
     place = place_named(model, where)
     q = place.position
@@ -48,7 +55,7 @@ def end_stop(
     lower, upper = (share * reach for share in CONTACT_RANGES.limit)
     parameters = (
         Parameter("k_stop", unit_quotient(place.unit, unit, 1), 0.0, lower=0.0),
-        Parameter("limit", unit, CONTACT_RANGES.start * reach, lower=lower, upper=upper),
+        Parameter("limit", unit, start * reach, lower=lower, upper=upper),
     )
     square, q_0 = carrying_unit(width**2), carrying_unit(middle)
 

@@ -117,7 +117,9 @@ class FrictionRanges:
 class ContactRanges:
     """Where a stop is searched."""
 
-    start: float = _is(0.8, "of half the range, the limit that the search starts from", _CONTACT)
+    starts: tuple[float, ...] = _is(
+        (0.5, 0.7, 0.85), "of half the range, the limits that the search starts from", _CONTACT
+    )
     limit: tuple[float, float] = _is(
         (0.3, 1.0), "of half the range, lower and upper bound of a stop", _CONTACT
     )

@@ -14,7 +14,11 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import KINDS, Effect
-from casid.model.effects.unnamed_effects import power_law, unnamed_effects
+from casid.model.effects.unnamed_effects import (
+    power_law,
+    states_with_one_law,
+    unnamed_effects,
+)
 from problems import pendulum
 
 Array = np.ndarray
@@ -131,6 +135,38 @@ def test_a_power_law_changes_the_flow_in_every_tank_that_it_enters():
     # The rounding near zero is a millionth of the slope at x_ref.
     expected = np.array([[-0.5 * 5e-4, 0.0], [0.5 * 5e-4, -3e-4]]) / AREA
     assert np.array(slope(at, [0.0], p)) == pytest.approx(expected, rel=1e-5)
+
+
+def alike() -> casid.Model:
+    """Two tanks with one coefficient of outflow, and a third with another."""
+    m = casid.Model("three tanks")
+    h1, h2, h3 = (m.state(name, "m", start=0.2) for name in ("h1", "h2", "h3"))
+    u = m.input("u", "m^3/s", known=True)
+    k, k3 = (m.parameter(name, "m^2/s", start=5e-4, lower=0.0) for name in ("k", "k3"))
+    m.balance(h1, "first", inertia=AREA, terms=[u, -k * h1], unit="m^3/s")
+    m.balance(h2, "second", inertia=2 * AREA, terms=[k * h1, -k * h2], unit="m^3/s")
+    m.balance(h3, "third", inertia=AREA, terms=[k * h2, -k3 * h3], unit="m^3/s")
+    m.output("level", h3, "m")
+    return m
+
+
+def test_tanks_that_a_model_takes_as_alike_have_one_law_of_outflow():
+    """Both outflows are halved in slope at n = 1/2, each at its own level; the third is not."""
+    import casadi as ca
+
+    model = alike()
+    assert states_with_one_law(model) == [("h1", "h2")]
+    assert states_with_one_law(tanks()) == []
+    effect = power_law(model, ("h1", "h2"), [0.2, 0.4])
+    assert effect is not None
+    assert effect.key == ("unknown", "first: |h1|^n and |h2|^n")
+    extended, (exponent,) = effect.extended(model)
+    e = extended.explicit()
+    value = {"k": 5e-4, "k3": 3e-4, exponent: 0.5}
+    slope = ca.Function("s", [e.x, e.u, e.p], [ca.jacobian(e.f, e.x)])
+    found = np.array(slope([0.2, 0.4, 0.3], [0.0], [value[n] for n in e.parameters])) * AREA
+    expected = np.array([[-2.5e-4, 0, 0], [1.25e-4, -1.25e-4, 0], [0, 2.5e-4, -3e-4]])
+    assert found == pytest.approx(expected, rel=1e-5)
 
 
 def test_springs_and_speeds_with_a_position_follow_no_power_law():
