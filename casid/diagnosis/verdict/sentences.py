@@ -32,7 +32,7 @@ _SAYS = {
     "offset": "a constant term acts in {place}",
     "periodic_disturbance": "an unrecorded periodic disturbance acts in the {where} balance",
     "parameter_drift": "the parameter {where} drifts during the record",
-    "extra_input": "the recorded channel {where}, which the model omits, acts on the system",
+    "extra_input": "the recorded channel {where}, which the model omits, acts {on}",
     "parameter_jump": "the parameter {where} changes during the record",
     "scheduled_parameter": "the parameter {own} changes with {source}",
     "sensor_bias": "the channel {where} has a constant bias",
@@ -103,8 +103,20 @@ _OF_COMMANDS = {
 }
 
 
-def says_kind(kind: str, where: str, *, is_relative: bool = False, is_command: bool = False) -> str:
-    """A kind of the catalogue in words; where its place is a relative motion, or a command."""
+def says_kind(
+    kind: str,
+    where: str,
+    *,
+    is_relative: bool = False,
+    is_command: bool = False,
+    on: str = "on the system",
+) -> str:
+    """A kind of the catalogue in words; where its place is a relative motion, or a command.
+
+    Parameters
+    ----------
+    on : what a further input acts on.
+    """
     if is_command and kind in _OF_COMMANDS:
         return _OF_COMMANDS[kind].format(where=where)
     if is_relative and kind in _OF_RELATIVES:
@@ -113,7 +125,9 @@ def says_kind(kind: str, where: str, *, is_relative: bool = False, is_command: b
     restoring = f"the restoring {where if where in _FORCES else f'term of {place}'}"
     restoring = f"the spring that acts on {where}" if is_relative else restoring
     own, _, source = where.partition("~")
-    return _SAYS[kind].format(where=where, place=place, restoring=restoring, own=own, source=source)
+    return _SAYS[kind].format(
+        where=where, place=place, restoring=restoring, own=own, source=source, on=on
+    )
 
 
 def says(effect: Effect, column: str = "") -> str:
@@ -123,10 +137,10 @@ def says(effect: Effect, column: str = "") -> str:
     ----------
     column : of the file that a missing input is read from, named where its channel is not.
     """
-    if effect.kind == "extra_input" and column and column != effect.where:
-        return says_kind(effect.kind, f"{effect.where} (column {column!r})")
-    if effect.kind == "extra_input" and effect.description:
-        return effect.description
+    if effect.kind == "extra_input":
+        of = f" (column {column!r})" if column and column != effect.where else ""
+        on = f"in the {effect.shape} balance" if effect.shape else "on the system"
+        return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
     if effect.kind in ("offset", "sensor_bias") and effect.description:
         return effect.description
     if effect.kind == "hold" and effect.description:

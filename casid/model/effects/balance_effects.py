@@ -226,6 +226,7 @@ def extra_input(model: Model, balance: str, channel: str, unit: str, about: floa
         apply,
         priority=3,
         constants=constants,
+        shape=balance if len(model.balances) > 1 else "",
         description=also if channel in model.inputs else "",
     )
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.verdict.sentences import says
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.balance_effects import (
     coulomb_friction,
@@ -293,3 +294,17 @@ def test_extending_leaves_the_model_alone():
     before = dict(m.parameters)
     m.extend(quadratic_damping(m, "force balance"))
     assert m.parameters == before
+
+
+def test_a_channel_that_may_act_in_two_balances_is_two_candidates():
+    """Of effects with one key the search refits only the most promising."""
+    m = casid.Model("two rooms")
+    T1, T2 = m.state("T1", "K"), m.state("T2", "K")
+    C, G = m.parameter("C", "J/K", value=1e6), m.parameter("G", "W/K", start=50.0)
+    m.balance(T1, "room", inertia=C, terms=[-G * (T1 - T2)], unit="W")
+    m.balance(T2, "hall", inertia=C, terms=[G * (T1 - T2)], unit="W")
+    m.output("T", T1, "K")
+    sun = [extra_input(m, balance, "sun", "W/m^2") for balance in ("room", "hall")]
+    assert [e.key for e in sun] == [("extra_input", "sun: room"), ("extra_input", "sun: hall")]
+    assert says(sun[1]).endswith("the model omits, acts in the hall balance")
+    assert {e.where for e in sun} == {"sun"}
