@@ -369,6 +369,9 @@ class Cogging:
 # -- search ---------------------------------------------------------------------------------------
 
 
+_JOINT_REFIT = f"{TESTS}/search/test_joint_refit.py"
+
+
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """Candidates compared."""
@@ -409,6 +412,15 @@ class Comparison:
         "Vuong, Econometrica 57 (1989) 307-333, (5.6)",
     )
     vuong_share: float = _is(0.5, "of the best merit that such a rival has at least", POWER_STUDY)
+    same: float = _is(
+        1e-6, "of the best merit within which two are equal, as far as fits go", _JOINT_REFIT
+    )
+    near_share: float = _is(
+        0.8,
+        "of the best merit that a candidate has at least to be compared again under the noise that "
+        "the best one leaves, where misfit passed for noise before",
+        f"{TESTS}/search/test_alternatives.py",
+    )
     likely: float = _is(
         4.0,
         "units of BIC by which a kind with lower prior plausibility must be better than another",
@@ -422,15 +434,18 @@ class Comparison:
     )
 
 
-_JOINT_REFIT = f"{TESTS}/search/test_joint_refit.py"
-
-
 @dataclass(frozen=True, slots=True)
 class Refits:
     """Where refits of an effect start, and how far its parameter may go."""
 
     factors: tuple[float, ...] = _is(
         (0.5, 1.0, 2.0, 4.0), "times the linearised delay or lag to start from", POWER_STUDY
+    )
+    stiffer: tuple[float, ...] = _is(
+        (1.0, 10.0),
+        "times its linearised stiffness that a stop is started with: the motion that it is "
+        "linearised at goes far beyond a stiff one",
+        _JOINT_REFIT,
     )
     least_delay: float = _is(0.2, "sample times to start from, at least", POWER_STUDY)
     room: float = _is(2.0, "times its start that a delay may reach", POWER_STUDY)
@@ -639,6 +654,24 @@ class Smoothing:
 
 
 @dataclass(frozen=True, slots=True)
+class Foresight:
+    """When what causes foresee of held-out data refutes a random disturbance in their place."""
+
+    left: float = _is(
+        0.25,
+        "of the squares of each held-out error that causes may leave for a random disturbance to "
+        "be no explanation of what they explain: it is another one in what was held out",
+        f"{TESTS}/search/test_simulation_errors.py",
+    )
+    p: float = _is(
+        1e-3,
+        "chance that they fall so far, at most: several candidates had to lower them",
+        f"{TESTS}/search/test_simulation_errors.py",
+        "Blackman and Tukey, The Measurement of Power Spectra, Dover 1958, section 23",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Judging:
     """What decides the verdict and its sentences."""
 
@@ -812,6 +845,7 @@ ROUNDS = Rounds()
 TERMS = Terms()
 DESCRIPTION = Description()
 SMOOTHING = Smoothing()
+FORESIGHT = Foresight()
 JUDGING = Judging()
 PLANNING = Planning()
 EXPERIMENTS = Experiments()
@@ -837,6 +871,7 @@ GROUPS = (
     TERMS,
     DESCRIPTION,
     SMOOTHING,
+    FORESIGHT,
     JUDGING,
     PLANNING,
     EXPERIMENTS,

@@ -261,6 +261,17 @@ def why_no_better(before: Array, after: Array) -> str:
     return ""
 
 
+def degrees_of_freedom(error: Array) -> float:
+    """Of a sum of squares of correlated errors (M, ny): two a line that their power is spread over.
+
+    (sum P)^2 / sum P^2 lines P of the periodogram (Blackman and Tukey 1958, section 23); for white
+    errors, by the scatter of P, half of what there are.
+    """
+    power = np.abs(np.fft.rfft(np.nan_to_num(error), axis=0)) ** 2
+    square = float(np.sum(power**2))
+    return max(2 * float(power.sum()) ** 2 / square, 1.0) if square > 0 else math.inf
+
+
 def why_worse(before: Array, after: Array) -> str:
     """Why an extension is refused by what was held out, or an empty text: it makes it worse."""
     if not len(before):

@@ -155,12 +155,14 @@ def _judged_again(refitting: Refitting, again: Weighted, c: Candidate) -> Candid
     return replace(judged, score=c.score)
 
 
-def p_value(table: ScoreTable, candidate: Candidate) -> float:
+def p_value(table: ScoreTable, candidate: Candidate, *, by_remainder: bool = False) -> float:
     """Family-wise p: of the score, or of the refit once something is known to be wrong.
 
     A closed test: the family's smallest p, or misfit beyond the noise, shows that an effect is
     missing; its refits then show which. A large effect is far from its linearised size, and its
-    own score may be small.
+    own score may be small. The first parameter of several (stiffness and place of a stop) may be
+    hardly known by itself although nothing would do without the effect: with gains by
+    what each candidate leaves (`by_remainder`) the likelihood ratio of all of them counts.
     """
     score = table.adjusted(candidate.effect.key)
     count, test = len(table.tested), candidate.effect.test
@@ -172,6 +174,9 @@ def p_value(table: ScoreTable, candidate: Candidate) -> float:
         refit = 2 * count * float(norm.sf(np.sqrt(max(candidate.gain, 0.0) / 3)))
     else:
         refit = 2 * count * float(norm.sf(abs(candidate.wald)))
+        if by_remainder and candidate.effect.cost > 1:
+            gain = max(candidate.gain, 0.0)
+            refit = min(refit, count * float(chi2.sf(gain, candidate.effect.cost)))
     return float(max(min(score, refit, 1.0), TINY))
 
 
@@ -196,6 +201,18 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))
     return tuple(sorted(out, key=lambda r: -r.p_value))
+
+
+def near_ones(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Candidates that explain nearly as much as the best, where misfit passes for noise.
+
+    Their gains are no likelihoods then: which of them is the cause shows under the noise that it
+    leaves (`better_rivals`, `reconsidered`).
+    """
+    if not at.noise_absorbs_misfit:
+        return ()
+    least = COMPARISON.near_share * best.merit
+    return tuple(c for c in found if c is not best and c.merit > max(least, 0.0))
 
 
 def _losses(c: Candidate) -> Array:

@@ -51,6 +51,14 @@ class Adopted:
     before: Weighted | None = None  # the model that it was adopted into
     is_alarm: bool = False  # the first, significant by itself under noise that is known
     share: float = 0.0  # of the misfit that all adopted effects removed
+    near: tuple[Candidate, ...] = ()  # that explain nearly as much, where misfit passed for noise
+
+    @property
+    def contenders(self) -> tuple[Candidate, ...]:
+        """Rivals and what explains nearly as much, the most likely first."""
+        rivals = tuple(r.candidate for r in self.rivals)
+        known = {c.effect.key for c in rivals}
+        return (*rivals, *(c for c in self.near if c.effect.key not in known))
 
 
 def null_values(candidate: Candidate) -> dict[str, float]:

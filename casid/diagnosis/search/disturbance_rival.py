@@ -10,6 +10,9 @@ charged for that choice as well (extended BIC: Chen and Chen, Biometrika 95 (200
 A disturbance is an explanation only where the residual under it is one: stationary, and dependent
 on no state or input.
 
+A disturbance is another one in what was held out: it explains nothing that causes foresee there
+(`is_predicted`).
+
 The p of what was found under the sensors' noise alone is that of no disturbance at all: in a sea it
 is as small as the sea is large. No cause is therefore more significant than all of them are
 together against a disturbance in their place (Wilks 1938; Bonferroni over what was tested).
@@ -30,6 +33,7 @@ from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
+from casid.diagnosis.search.simulation_errors import is_predicted, simulation_errors
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.simulation.minimization import Fit
 
@@ -71,8 +75,11 @@ def weighed_against_disturbances(
         beside = weighing.weigh(found.fit.criterion.model, found.fit)
         score = _score(beside, found.adopted, search)
         charged = _charged(found, bare, search, beside)
-        is_random = all(a.p_value >= search.alpha for a in charged.adopted)
-        is_random = is_random or (nothing <= score and not is_more_than_noise(bare, again))
+        if _predicts(found.fit, baseline):
+            charged = found
+        else:
+            is_random = all(a.p_value >= search.alpha for a in charged.adopted)
+            is_random = is_random or (nothing <= score and not is_more_than_noise(bare, again))
         if is_clean and not is_random:
             return search, start, charged
         found = charged
@@ -87,6 +94,13 @@ def weighed_against_disturbances(
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
         return search, start, Adoption((), start, None)
     return search, start, found
+
+
+def _predicts(fit: Fit, baseline: Baseline) -> bool:
+    """True if an extended model foresees most of what was held out of the records."""
+    units = fit.criterion.weights
+    before, after = (simulation_errors(f, baseline.split, units) for f in (baseline.fit, fit))
+    return is_predicted(before, after)
 
 
 def _significant(found: Adoption, bare: Weighted, search: Search, start: Weighted) -> Adoption:

@@ -119,10 +119,18 @@ class Refitting:
         return found
 
     def again(self, at: Weighted, found: Candidate, *, near: bool = True) -> Candidate | None:
-        """A candidate refitted into another model or on other records, from what it was."""
-        values, first = found_values(found), found.effect.parameters[0]
-        step = values[first.name] - first.start
-        return self.refit(at, found.effect, step, starts=values, near=near)
+        """A candidate refitted into another model or on other records, from what it was.
+
+        Where the model without it is far from the records, from all that it was fitted with, too.
+        """
+        effect, values = found.effect, found_values(found)
+        first = effect.parameters[0]
+        new = self.refit(at, effect, values[first.name] - first.start, starts=values, near=near)
+        if new is not None and error_over_noise(new.fit, at.noise) < REFITS.explained:
+            return new
+        whole = partial(self._from, at, effect, values, None, found.fit.values)
+        other = self.attempts.attempt(name_of(effect), whole)
+        return other if other and (new is None or other.gain > new.gain) else new
 
     def judged(
         self, at: Weighted, effect: Effect, names: tuple[str, ...], model: Model, fit: Fit
@@ -209,6 +217,11 @@ def _starts(
         low, high = _slopes_to_zero(effect.span, value)
         step = float(np.clip(step, REFITS.step_share * low, REFITS.step_share * high))
     null = effect.parameters[0].start
+    if effect.cost > 1 and effect.sided == "both":
+        # Its further parameters do nothing at zero, which no fit crosses by itself.
+        return [(null + step, None), (null - step, None)]
+    if effect.kind == "end_stop":
+        return [(null + k * max(step, 0.0), None) for k in REFITS.stiffer]
     return [(null + (step if effect.sided == "both" else max(step, 0.0)), None)]
 
 

@@ -34,7 +34,7 @@ def reconsidered(
             a.before is not None and a.before.noise_absorbs_misfit
         )
         rivals = a.rivals
-        if rivals and judged_under_misfit and not at.noise_absorbs_misfit:
+        if a.contenders and judged_under_misfit and not at.noise_absorbs_misfit:
             search.progress(f"compare {name_of(a.candidate.effect)} with its rivals again")
             others = [b.candidate for b in adopted if b is not a]
             again = search.attempts.attempt(
@@ -53,7 +53,7 @@ def _rivals_beside(
     again = without_cause(search, others, start, at)
     found = [
         c
-        for b in (a.candidate, *(r.candidate for r in a.rivals[: ROUNDS.rivals]))
+        for b in (a.candidate, *a.contenders[: ROUNDS.rivals])
         if (c := search.refitting.again(again, b, near=False)) is not None
     ]
     require_time("the rivals")  # one that was not refitted is no less a rival
@@ -70,21 +70,27 @@ def _rivals_beside(
 def better_rivals(
     search: Search, adopted: Sequence[Adopted], start: Weighted, at: Weighted
 ) -> list[Candidate]:
-    """Rivals of the last cause that are better under the noise found with it, named effects first.
+    """Contenders of the last cause that are better under the noise found with it, the best first.
 
     Where misfit passed for noise, gains were no likelihoods: one that imitates the cause, and
-    leaves a little, may have come first. Which of these to take is decided by its remainder.
+    leaves a little, may have come first. Of those that are hardly better named effects come first.
     """
     last = adopted[-1]
     again = without_cause(search, [a.candidate for a in adopted[:-1]], start, at)
     first = search.refitting.again(again, last.candidate, near=False)
     found = [
         c
-        for r in last.rivals[: ROUNDS.rivals]
-        if (c := search.refitting.again(again, r.candidate, near=False)) is not None
+        for b in last.contenders[: ROUNDS.rivals]
+        if (c := search.refitting.again(again, b, near=False)) is not None
     ]
     better = [c for c in found if first is not None and c.merit > first.merit + COMPARISON.strong]
-    return sorted(better, key=lambda c: (c.effect.priority, -c.merit))
+    most = max((c.merit for c in better), default=0.0)
+    best = [c for c in better if c.merit > most - COMPARISON.strong]
+    others = [c for c in better if c not in best]
+    return [
+        *sorted(best, key=lambda c: (c.effect.priority, -c.merit)),
+        *sorted(others, key=lambda c: -c.merit),
+    ]
 
 
 def without_cause(

@@ -101,7 +101,9 @@ class Refinement:
         errors = simulation_errors(fit, self.split, self.units)
         is_new = False
         for i in range(len(adopted)):
-            for rival in self._rivals(adopted, i):
+            rivals = list(self._rivals(adopted, i))
+            bare = self._errors_without(adopted, i, fit) if rivals else self.before
+            for rival in rivals:
                 self.search.progress(
                     f"compare {name_of(adopted[i].candidate.effect)} with {name_of(rival.effect)} "
                     "by the held-out error"
@@ -110,7 +112,7 @@ class Refinement:
                 others[i] = rival
                 placed, other = self._with(others, fit)
                 after = simulation_errors(other, self.split, self.units)
-                if self._is_preferred(adopted[i].candidate, rival, errors, after):
+                if self._is_preferred(adopted[i].candidate, bare, errors, after):
                     adopted = [
                         replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)
                     ]
@@ -186,20 +188,28 @@ class Refinement:
                 taken.add(c.effect.key)
                 yield c
 
+    def _errors_without(self, adopted: Sequence[Adopted], i: int, fit: Fit) -> SimulationErrors:
+        """The errors with all causes but one: a rival has to explain what that one does."""
+        if len(adopted) == 1:
+            return self.before
+        without = self._without(fit, adopted[i].candidate)
+        return simulation_errors(without, self.split, self.units)
+
     def _is_preferred(
-        self, own: Candidate, rival: Candidate, old: SimulationErrors, new: SimulationErrors
+        self, own: Candidate, bare: SimulationErrors, old: SimulationErrors, new: SimulationErrors
     ) -> bool:
         """True if a rival fits as well in practice, and predicts better or is the one with a name.
 
-        In practice: it leaves less than `JUDGING.practical` of the misfit more.
+        In practice: it leaves less than `JUDGING.practical` more of what there is without the cause
+        (`bare`), and takes more than that of the held-out error away.
         """
-        fits = new.square - old.square < JUDGING.practical * (self.before.square - old.square)
-        gained = self.before.held_out_square - old.held_out_square
+        fits = new.square - old.square < JUDGING.practical * (bare.square - old.square)
+        gained = bare.held_out_square - old.held_out_square
         lost = new.held_out_square - old.held_out_square
         if own.effect.is_unnamed:
             return fits and lost <= JUDGING.practical * max(gained, 0.0)
-        has_held = bool(len(old.continued) or len(old.restarted))
-        return fits and has_held and not why_held_out(old, new)
+        left = (1 - JUDGING.practical) * old.held_out_square  # less is no better in practice
+        return fits and 0.0 <= new.held_out_square < left and not why_held_out(old, new)
 
     def _with(self, causes: Sequence[Candidate], near: Fit | None) -> tuple[list[Candidate], Fit]:
         """These causes in the model as it is, by their new names, and its fit from `near`."""
@@ -267,7 +277,8 @@ def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:
     """Another candidate in the place of one, which is its first rival then."""
     first = Rival(taken.candidate, 1.0)
     others = (r for r in taken.rivals if r.candidate.effect.key != chosen.effect.key)
-    return replace(taken, candidate=chosen, rivals=(first, *others))
+    near = tuple(c for c in taken.near if c.effect.key != chosen.effect.key)
+    return replace(taken, candidate=chosen, rivals=(first, *others), near=near)
 
 
 def _values(placed: Sequence[Candidate], before: Sequence[Candidate]) -> dict[str, float]:

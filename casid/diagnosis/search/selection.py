@@ -10,6 +10,7 @@ from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
 from casid.diagnosis.search.alternatives import (
     is_imitator,
+    near_ones,
     p_value,
     rivals_of,
     without_imitations,
@@ -120,7 +121,8 @@ class _Selection:
         # The first alarm has the rate that the user set, and is named unless the errors speak
         # against it; a further cause has to earn its place there.
         is_alarm = is_scored and not (self.adopted or at.noise_absorbs_misfit)
-        p_values = {c.effect.key: p_value(table, c) for c in found}
+        by_remainder = at.noise_absorbs_misfit
+        p_values = {c.effect.key: p_value(table, c, by_remainder=by_remainder) for c in found}
         significant = [c for c in found if p_values[c.effect.key] < search.alpha]
         causes = found
         if search.misfit_passes_for_noise(at):
@@ -129,7 +131,8 @@ class _Selection:
         for best in _named_first(at, causes):
             p = p_values[best.effect.key]
             if p < search.alpha and (best.merit > 0 or is_alarm):
-                out.append(Adopted(best, p, rivals_of(at, best, found), at, is_alarm))
+                rivals, near = rivals_of(at, best, found), near_ones(at, best, causes)
+                out.append(Adopted(best, p, rivals, at, is_alarm, near=near))
         return out
 
     def _adopt(self, news: Sequence[Adopted], *, note: bool = True) -> bool:
@@ -210,16 +213,16 @@ class _Selection:
         return replace(self, at=at, fit=fit, adopted=[*self.adopted, first])
 
     def exchange_last(self) -> None:
-        """Take a rival of the last cause instead, where that leaves noise and the cause does not.
+        """Take a rival of the last cause instead that is better under the noise left by the cause.
 
-        Only where the noise model absorbed misfit before the cause was adopted.
+        Only where the noise model absorbed misfit before the cause was adopted, and no longer does.
         """
         search, taken = self.search, self.adopted[-1]
-        is_open = taken.rivals and taken.before is not None and taken.before.noise_absorbs_misfit
-        if not is_open or self.at.noise_absorbs_misfit or not is_more_than_noise(self.at, search):
+        is_open = taken.before is not None and taken.before.noise_absorbs_misfit
+        if not is_open or not taken.contenders or self.at.noise_absorbs_misfit:
             return
         search.progress(
-            f"compare the rivals of {name_of(taken.candidate.effect)} by their residuals"
+            f"compare {name_of(taken.candidate.effect)} with its rivals beside what it leaves"
         )
         for other in better_rivals(search, self.adopted, self.start, self.at):
             what = f"the extension by {name_of(other.effect)}"
@@ -244,7 +247,11 @@ class _Selection:
         instead = self.search.weighing.weigh(other.model, fit, rounds=1)
         errors = simulation_errors(fit, self.split, self.units)
         is_worse = errors.held_out_square > self.errors.held_out_square
-        if is_worse or is_more_than_noise(instead, self.search):
+        if is_worse or instead.noise_absorbs_misfit:
+            return False
+        if is_more_than_noise(instead, self.search) and not is_more_than_noise(
+            self.at, self.search
+        ):
             return False
         self.adopted[-1] = exchanged(taken, other)
         self.errors, self.fit, self.at = errors, fit, instead
@@ -257,7 +264,14 @@ def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
     A neighbour without a name goes behind the best named one that the record cannot reject against
     it: catalogued effects have higher prior plausibility.
     """
-    order = list(found)
+    # What is the same to all digits that count stands where the model has it.
+    m = at.model
+    places = {name: i for i, name in enumerate((*m.balances, *m.inputs, *m.outputs))}
+    best = max((abs(c.merit) for c in found), default=0.0)
+    digits = COMPARISON.same * max(best, 1.0)
+    order = sorted(
+        found, key=lambda c: (-round(c.merit / digits), places.get(c.effect.where, len(places)))
+    )
     likely = COMPARISON.likely
     if at.noise_absorbs_misfit:
         likely = max(

@@ -11,11 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import f as f_distribution
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.thresholds import JUDGING, ROUNDS
+from casid.diagnosis.thresholds import FORESIGHT, JUDGING, ROUNDS
 from casid.estimation.holdout import (
     Split,
+    degrees_of_freedom,
     held_out_error,
     simulate_apart,
     whole_simulation,
@@ -123,6 +125,27 @@ def why_not_adopted(
         return "it does not lower the error of the fitted part"
     room = ROUNDS.overfit * (old - new) / max(int(shared.sum()), 1)
     return why_held_out(before, after, is_alarm=is_alarm, room=room)
+
+
+def is_predicted(before: SimulationErrors, after: SimulationErrors) -> bool:
+    """True if an extension takes most of every held-out error away, by more than chance.
+
+    A random disturbance is another one in what was held out: an effect fitted to it in the fitted
+    part predicts nothing there. The sums of squares have the degrees of freedom that their
+    spectra leave; that both errors share a disturbance makes the F-test err on its side.
+    """
+    ways = [(before.continued, after.continued), (before.restarted, after.restarted)]
+    ways = [(old, new) for old, new in ways if len(old)]
+    return bool(ways) and all(_is_far_less(new, old) for old, new in ways)
+
+
+def _is_far_less(new: Array, old: Array) -> bool:
+    sums = [float(np.nansum(e**2)) for e in (new, old)]
+    freedom = [degrees_of_freedom(e) for e in (new, old)]
+    if not sums[0] <= FORESIGHT.left * sums[1]:
+        return False
+    ratio = sums[1] / max(sums[0], TINY)
+    return float(f_distribution.sf(ratio, freedom[1], freedom[0])) < FORESIGHT.p
 
 
 def why_much_worse(before: Fit, after: Fit, split: Split) -> str:

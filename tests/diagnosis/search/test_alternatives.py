@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from casid.diagnosis.search.alternatives import without_imitations
+from casid.diagnosis.search.alternatives import near_ones, p_value, without_imitations
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import COMPARISON
 from casid.model.effects.balance_effects import cubic_damping
+from casid.model.effects.contact_effects import end_stop
 from casid.model.effects.effect import Effect
 from casid.model.effects.parameter_effects import parameter_jump
 from problems import roll_decay
@@ -44,3 +46,28 @@ def test_beside_laws_that_explain_nothing_a_jump_has_to_pay_for_itself_alone() -
 def test_a_law_that_is_not_significant_is_no_reason_against_a_jump() -> None:
     law, jump = judged(LAW, 100.0, 0.0), judged(JUMP, 50.0, 0.0)
     assert without_imitations([law, jump], [jump]) == [law, jump]
+
+
+def test_a_stop_whose_stiffness_is_hardly_known_is_significant_by_what_it_explains() -> None:
+    """Stiffness and place exchange for each other: neither is far from its null by itself.
+
+    A gain of 60 is chi^2(2) under no effect: p = exp(-30) for each of the effects tested.
+    """
+    stop = end_stop(MODEL, "torque", "upper", 0.0, 0.1, 1e-3)
+    assert stop is not None
+    unused: Any = None
+    found = Candidate(stop, (), MODEL, unused, 60.0, 10.0, wald=1.5)
+    table: Any = SimpleNamespace(adjusted=lambda _: 1.0, tested=[None] * 40)
+    assert p_value(table, found) == 1.0
+    assert p_value(table, found, by_remainder=True) == pytest.approx(40 * 9.36e-14, rel=1e-3)
+
+
+@pytest.mark.parametrize("noise_absorbs_misfit", [False, True])
+def test_what_explains_nearly_as_much_is_compared_again_where_misfit_passed_for_noise(
+    noise_absorbs_misfit: bool,
+) -> None:
+    assert COMPARISON.near_share == 0.8
+    best, near, far = (judged(LAW, gain, 0.0) for gain in (100.0, 85.0, 75.0))
+    at: Any = SimpleNamespace(noise_absorbs_misfit=noise_absorbs_misfit)
+    expected = (near,) if noise_absorbs_misfit else ()
+    assert near_ones(at, best, [best, near, far]) == expected

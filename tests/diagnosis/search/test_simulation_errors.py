@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from casid.diagnosis.search.simulation_errors import SimulationErrors, why_not_adopted
-from casid.diagnosis.thresholds import ROUNDS
+from casid.diagnosis.search.simulation_errors import (
+    SimulationErrors,
+    is_predicted,
+    why_not_adopted,
+)
+from casid.diagnosis.thresholds import FORESIGHT, ROUNDS
+from casid.estimation.holdout import degrees_of_freedom
 
 N = 400
 RNG = np.random.default_rng(3)
@@ -81,3 +86,26 @@ def test_where_nothing_was_held_out_the_fitted_error_decides():
     before, after = (SimulationErrors(NOISE[0] + size * SWING, none, none) for size in (1.0, 0.1))
     assert why_not_adopted(before, after) == ""
     assert "fitted part" in why_not_adopted(after, before)
+
+
+def white(size: float) -> SimulationErrors:
+    """White errors of `size`, of which sums of N squares have N degrees of freedom."""
+    return SimulationErrors(*(size * e for e in NOISE))
+
+
+@pytest.mark.parametrize(("left", "is_foreseen"), [(0.45, True), (0.55, False)])
+def test_causes_that_take_most_of_every_held_out_error_away_are_no_disturbance(left, is_foreseen):
+    """`left` of the error is 0.2 and 0.3 of its squares; at least half of the lines count."""
+    assert FORESIGHT.left == 0.25
+    assert is_predicted(white(1.0), white(left)) is is_foreseen
+    only_one = SimulationErrors(left * NOISE[0], left * NOISE[1], NOISE[2])
+    assert not is_predicted(white(1.0), only_one)
+
+
+def test_one_slow_wave_in_what_was_held_out_is_too_little_to_refuse_a_disturbance():
+    """A single half wave has some two degrees of freedom: F(2, 2) of ten has p = 0.09."""
+    slow = np.sin(np.pi * np.arange(N) / N)[:, None]
+    before = SimulationErrors(slow, slow, slow)
+    after = SimulationErrors(*(np.sqrt(0.1) * e for e in (slow, slow, slow)))
+    assert degrees_of_freedom(slow) < 4.0
+    assert not is_predicted(before, after)
