@@ -85,9 +85,12 @@ class Refinement:
                 continue
             if abs(wald(fit, first, null_values(c)[first])) > ROUNDS.backward_wald:
                 continue
+            without = self._without(fit, c)
+            if c.effect.cost > 1 and self._is_missed(fit, without):
+                continue  # its parameters exchange for each other, and none is known by itself
             refused.append((c, "the other causes together leave nothing for it to explain"))
             kept.remove(a)
-            fit = self._without(fit, c)
+            fit = without
         if not refused:
             return found
         self.search.refused += refused
@@ -187,6 +190,11 @@ class Refinement:
                 count += 1
                 taken.add(c.effect.key)
                 yield c
+
+    def _is_missed(self, fit: Fit, without: Fit) -> bool:
+        """True if the fitted part has a practically larger error without an effect."""
+        now, then = (simulation_errors(f, self.split, self.units).square for f in (fit, without))
+        return then > (1 + JUDGING.practical) * now
 
     def _errors_without(self, adopted: Sequence[Adopted], i: int, fit: Fit) -> SimulationErrors:
         """The errors with all causes but one: a rival has to explain what that one does."""
