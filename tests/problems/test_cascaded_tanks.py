@@ -157,3 +157,10 @@ def test_the_law_of_the_outflow_is_named_and_not_its_tangent_and_the_overflow_be
     named = {k for c in found.causes for k in (c.kind, *(a.kind for a in c.alternatives))}
     assert {"end_stop", "saturation"} <= named
     assert not {"offset", "sensor_bias", "sensor_scale"} & {c.kind for c in found.causes}
+
+
+def test_a_law_that_one_cause_can_have_is_named_and_no_disturbance(measured):
+    """Its disturbance, of which the clipped samples say little, is less likely than white noise."""
+    found = casid.diagnose(tanks.problem, measured, max_causes=1, advise=False)
+    assert found.disturbances == ()
+    assert any(p.name.startswith("exponent") for c in found.causes for p in c.parameters)

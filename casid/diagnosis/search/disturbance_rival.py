@@ -24,11 +24,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 from scipy.stats import chi2
 
+from casid.arrays import TINY
 from casid.diagnosis.evidence.baseline import Baseline
-from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
-from casid.diagnosis.search.candidates import Adopted, Candidate
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
+from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
 from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
@@ -56,6 +58,8 @@ def weighed_against_disturbances(
     weighing = search.weighing.with_disturbances()
     again = replace(search, weighing=weighing, tested=None, refused=[])
     bare = weighing.weigh(start.model, base, rounds=1)
+    if minus_log_likelihood(bare) > _as_white(base):
+        return search, start, found
     start = replace(start, beside=bare)
     found = found if found.adopted else replace(found, at=start)
     if held:
@@ -72,8 +76,8 @@ def weighed_against_disturbances(
         if is_clean and _score(found.at, found.adopted, search) < nothing:
             # Likelier, even with no disturbance beside the causes.
             return search, start, _charged(found, bare, search)
-        beside = weighing.weigh(found.fit.criterion.model, found.fit)
-        score = _score(beside, found.adopted, search)
+        beside = _beside(weighing, found, bare)
+        score = 2 * beside + _charge(bare, found.adopted, search)
         charged = _charged(found, bare, search, beside)
         if _predicts(found.fit, baseline):
             charged = found
@@ -94,6 +98,39 @@ def weighed_against_disturbances(
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
         return search, start, Adoption((), start, None)
     return search, start, found
+
+
+def _as_white(fit: Fit) -> float:
+    """Minus the log-likelihood of a residual as white noise of its own size in each output.
+
+    A disturbance that is less likely than that is no explanation: its estimate went astray.
+    """
+    c = fit.criterion
+    parts = [np.where(d.used, c.simulated(fit.x, e).residual, 0.0) for e, d in enumerate(c.data)]
+    samples = np.sum([d.used.sum(axis=0) for d in c.data], axis=0)
+    squares = np.sum([np.sum(p**2, axis=0) for p in parts], axis=0)
+    seen = samples > 0
+    means = np.maximum(squares[seen] / samples[seen], TINY)
+    return float(0.5 * np.sum(samples[seen] * (1 + np.log(means))))
+
+
+def _beside(weighing: Weighing, found: Adoption, bare: Weighted) -> float:
+    """Minus the log-likelihood of the extended model under what is left for a disturbance.
+
+    It has the model as it is (`bare`) in it, and is no less likely: where the disturbance that its
+    own residual suggests leads elsewhere, it is what the effects gain under that of the model as it
+    is, fitted from where they do nothing.
+    """
+    assert found.fit is not None
+    model = found.fit.criterion.model
+    own = minus_log_likelihood(weighing.weigh(model, found.fit))
+    if not bare.noise.spectra:
+        return own
+    values = dict(bare.fit.values)
+    for a in found.adopted:
+        values |= null_values(a.candidate)
+    gain = bare.fit.solution.value - weighing.fitted(model, bare, values).solution.value
+    return min(own, minus_log_likelihood(bare) - max(gain, 0.0))
 
 
 def _predicts(fit: Fit, baseline: Baseline) -> bool:
@@ -117,21 +154,22 @@ def _is_held(fit: Fit) -> bool:
 
 
 def _charged(
-    found: Adoption, bare: Weighted, search: Search, beside: Weighted | None = None
+    found: Adoption, bare: Weighted, search: Search, beside: float | None = None
 ) -> Adoption:
     """What was found, no p smaller than that of all of it against a disturbance in its place.
 
     Parameters
     ----------
     bare : the model as it is under the disturbance.
-    beside : the extended model under what is left for one; default as it was found.
+    beside : minus the log-likelihood of the extended model under what is left for one; default as
+        it was found.
     """
     if not found.adopted or found.fit is None:
         return found
-    at = found.at if beside is None else beside
-    if at.noise_absorbs_misfit:
-        at = search.weighing.with_disturbances().weigh(found.fit.criterion.model, found.fit)
-    gain = minus_log_likelihood(bare) - minus_log_likelihood(at)
+    if beside is None and found.at.noise_absorbs_misfit:
+        beside = _beside(search.weighing.with_disturbances(), found, bare)
+    left = minus_log_likelihood(found.at) if beside is None else beside
+    gain = minus_log_likelihood(bare) - left
     effects = [a.candidate.effect for a in found.adopted]
     tested = max(len(search.first_table.tested) if search.first_table is not None else 1, 1)
     logs = len(effects) * math.log(tested)
@@ -144,11 +182,15 @@ def _charged(
 
 def _score(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
     """The extended Bayesian information criterion, less what all models have in common."""
+    return 2 * minus_log_likelihood(at) + _charge(at, adopted, search)
+
+
+def _charge(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
+    """What effects that were chosen among all that were tested are charged in it."""
     table = search.first_table
     choice = 2 * math.log(len(table.tested)) if table is not None and table.tested else 0.0
     samples = math.log(at.criterion.n_samples)
-    charge = sum(a.candidate.effect.cost * samples + choice for a in adopted)
-    return 2 * minus_log_likelihood(at) + charge
+    return sum(a.candidate.effect.cost * samples + choice for a in adopted)
 
 
 def _add_refused(search: Search, rows: Sequence[tuple[Candidate, str]]) -> None:

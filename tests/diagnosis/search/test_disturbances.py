@@ -7,6 +7,12 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
+from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
+from casid.diagnosis.search.candidates import Adopted, Candidate
+from casid.diagnosis.search.disturbance_rival import _as_white, _beside
+from casid.diagnosis.search.refinement import Adoption
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.effects.balance_effects import quadratic_damping
 
 TS, N, SD = 0.1, 3000, 0.002
 B, C, K = 0.05, 0.8, 0.25
@@ -76,3 +82,31 @@ def test_a_drag_is_named_in_a_sea() -> None:
     named |= {(a.kind, a.where) for c in found.causes[:1] for a in c.alternatives}
     assert ("quadratic_damping", "moment") in named
     assert [x.where for x in found.disturbances] == ["moment"]
+
+
+def test_a_model_with_an_effect_is_no_less_likely_in_a_sea_than_without_it() -> None:
+    """It has the other one in it, whatever disturbance its own residual suggests."""
+    once, model = FitSettings(starts=1), hull().model
+    experiments = [casid.Experiment(record(1), {}, "sea")]
+    weighing = Weighing(experiments).with_disturbances()
+    base = fit_model(model, experiments, once)
+    bare = weighing.weigh(model, base, rounds=1)
+    effect = quadratic_damping(model, "moment")
+    extended, names = effect.extended(model)
+    start = {**base.values, "d_2": 5.0, "C": 5.0}
+    fit = fit_model(extended, experiments, once, start=start, throw=False)
+    cause = Adopted(Candidate(effect, names, extended, fit, 0.0, 0.0, 0.0), 0.01, ())
+    beside = _beside(weighing, Adoption((cause,), bare, fit), bare)
+    assert beside <= minus_log_likelihood(bare)
+
+
+def test_a_residual_as_white_noise_has_the_gaussian_likelihood() -> None:
+    """-log L of n samples of white noise at its own variance is n (1 + log s^2) / 2."""
+    experiments = [casid.Experiment(record(1), {}, "sea")]
+    fit = fit_model(hull().model, experiments, FitSettings(starts=1))
+    residual = fit.criterion.simulated(fit.x, 0).residual
+    expected = 0.5 * N * np.sum(1 + np.log(np.mean(residual**2, axis=0)))
+    assert _as_white(fit) == pytest.approx(expected, rel=1e-12)
+    assert minus_log_likelihood(
+        Weighing(experiments).with_disturbances().weigh(hull().model, fit, rounds=1)
+    ) < _as_white(fit)
