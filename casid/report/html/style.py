@@ -118,7 +118,10 @@ figcaption { color: var(--soft); font-size: 14px; max-width: 90ch; margin-top: 4
   figure { margin: 12px -6px; }
   figcaption { margin-left: 6px; }
 }
+@page { size: A4; margin: 15mm; }
 @media print {
+  .modebar { display: none !important; }
+  summary, h3 { break-after: avoid; }
   details.part > summary, details.fold > summary { list-style: none; }
   details::details-content { content-visibility: visible; height: auto; }
   body { max-width: none; padding: 0; font-size: 11pt; }
