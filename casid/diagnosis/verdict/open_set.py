@@ -57,7 +57,8 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
     tests = tested_residual(at, search, level)
     p_value = tests.adjusted
     if not at.noise_absorbs_misfit and tests.verdict in _RANDOM:
-        return Remainder(p_value, level, disturbances=disturbances_of(at))
+        beside = at if at.noise.spectra else None
+        return Remainder(p_value, level, disturbances=disturbances_of(at), beside=beside)
     if at.noise_absorbs_misfit:
         # The residual was tested under the noise of sensors and inputs alone, of which it is much
         # more. With random forces in the noise, of spectra of their own, it may be nothing else.

@@ -202,16 +202,20 @@ def verdict_sentence(
 
 
 def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) -> str:
-    """By how much including the causes lowers, or raises, the errors that it changes."""
+    """By how much including the causes lowers, or raises, the errors that it changes.
+
+    An error that rises by less than `JUDGING.practical` is the same.
+    """
     lowered: list[str] = []
     raised: list[str] = []
     for output, before in part.get("baseline_rmse", {}).items():
         after = part.get("extended_rmse", {}).get(output, before)
         sizes = [problem.model.shown_size(output, e) for e in (before, after)]
         (old, new), unit = quantity_texts(sizes, problem.model.unit_of(output))
-        if new != old:
+        is_worse = after > (1 + JUDGING.practical) * before
+        if new != old and (after < before or is_worse):
             changed = f"{output} from {old} to {new} {unit}".rstrip()
-            (lowered if after < before else raised).append(changed)
+            (raised if is_worse else lowered).append(changed)
     if lowered:
         more = f", and raises that of {', '.join(raised)}" if raised else ""
         return f" Including {what} lowers the RMS error of {', '.join(lowered)}{more}."

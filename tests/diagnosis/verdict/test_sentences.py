@@ -36,6 +36,17 @@ def test_of_many_that_may_be_the_cause_the_first_are_named():
 
 
 @pytest.mark.parametrize(
+    ("after", "said"),
+    [(0.101, ""), (0.12, "raises the RMS error of gyro"), (0.05, "lowers the RMS error of gyro")],
+)
+def test_an_error_that_rises_by_a_hundredth_is_not_said_to_rise(after: float, said: str):
+    part = {"baseline_rmse": {"gyro": 0.1}, "extended_rmse": {"gyro": after}}
+    text = verdict_sentence("deficient", [small().causes[0]], part, "", pendulum.problem)
+    assert said in text
+    assert ("RMS error" in text) is bool(said)
+
+
+@pytest.mark.parametrize(
     "why",
     [
         "gyro is zero in every sample that is fitted: check the sensor, its cable and the mapping",
