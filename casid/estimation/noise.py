@@ -324,7 +324,7 @@ def _covariance(
 ) -> dict[tuple[str, str], float]:
     """Covariance of the variances that were `sought`: the inverse of Whittle's information."""
     index = np.flatnonzero(sought)
-    design = spectra.design[:, index] / np.maximum(spectra.design @ value, TINY)[:, None]
+    design = spectra.design[:, index] / np.maximum(spectra.design @ value, spectra.floor)[:, None]
     size = np.sqrt(np.maximum(np.sum(spectra.count[:, None] * design**2, axis=0), TINY))
     scaled = design / size
     inverse = np.linalg.pinv((scaled * spectra.count[:, None]).T @ scaled) / np.outer(size, size)

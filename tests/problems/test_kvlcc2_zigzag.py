@@ -157,7 +157,6 @@ def test_without_inputs_the_diagnosis_says_that_they_are_missing(measured, name)
         kvlcc2_zigzag.without_inputs(),
         kvlcc2_zigzag.coarse(measured[name]),
         starts=1,
-        max_causes=1,
         advise=False,
     )
     assert found.verdict == "deficient"

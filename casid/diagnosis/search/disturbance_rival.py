@@ -128,7 +128,9 @@ def _beside(weighing: Weighing, found: Adoption, bare: Weighted) -> float:
         return own
     values = dict(bare.fit.values)
     for a in found.adopted:
-        values |= null_values(a.candidate)
+        for name, null in null_values(a.candidate).items():
+            p = model.parameters[name]  # of what an input does or does not, the one alone
+            values[name] = min(max(null, p.lower), p.upper)
     gain = bare.fit.solution.value - weighing.fitted(model, bare, values).solution.value
     return min(own, minus_log_likelihood(bare) - max(gain, 0.0))
 
