@@ -78,12 +78,11 @@ def weighed_against_disturbances(
             return search, start, _charged(found, bare, search)
         beside = _beside(weighing, found, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
-        charged = _charged(found, bare, search, beside)
-        if _predicts(found.fit, baseline):
-            charged = found
-        else:
-            is_random = all(a.p_value >= search.alpha for a in charged.adopted)
-            is_random = is_random or (nothing <= score and not is_more_than_noise(bare, again))
+        is_foreseen = _predicts(found.fit, baseline)
+        charged = found if is_foreseen else _charged(found, bare, search, beside)
+        is_random = not is_foreseen and all(a.p_value >= search.alpha for a in charged.adopted)
+        if not is_foreseen and nothing <= score:
+            is_random |= not is_more_than_noise(bare, again)
         if is_clean and not is_random:
             return search, start, charged
         found = charged
