@@ -168,7 +168,7 @@ def _solved(nlp: Nlp, criterion: SimulationError, solver: Solver | None, point: 
     An end above where it began is none: it is sought once more, without steps that rise.
     """
     solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
-    again = None if solution.is_converged else descending(solver)
+    again = None if solution.is_converged or seconds_left() <= 0.0 else descending(solver)
     if again is not None and not solution.value <= criterion.evaluate(point).value:
         solution = nlp.solve(again, point.tolist(), throw=False, natural_scales=True)
     if not (np.isfinite(solution.value) and np.all(np.isfinite(solution.hessian))):
