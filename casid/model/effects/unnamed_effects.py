@@ -285,22 +285,16 @@ def states_with_one_law(model: Model) -> list[tuple[str, ...]]:
 def _own_slopes(model: Model) -> dict[str, Expr]:
     """The slope of each state's own right-hand side, where it is an estimated flow's."""
     unknown = [model.symbol(n) for n, p in model.parameters.items() if not p.is_known]
+    sides = {n: (b.rate, b.total) for n, b in model.balances.items()}
+    sides |= {n: (n, side) for n, side in model._rates.items()}
     found = {}
     for state in model.states:
-        rows = _flows_linear_in(model, state)
-        own = [
-            n for n in rows if n == state or (n in model.balances and n in _rows_of(model, state))
-        ]
-        for name in own:
-            side = model.balances[name].total if name in model.balances else model._rates[name]
+        for name in _flows_linear_in(model, state):
+            owner, side = sides[name]
             slope = ca.jacobian(ca.SX(side), model.symbol(state))
-            if any(any(ca.which_depends(slope, q)) for q in unknown):
+            if owner == state and any(any(ca.which_depends(slope, q)) for q in unknown):
                 found[state] = slope
     return found
-
-
-def _rows_of(model: Model, state: str) -> list[str]:
-    return [name for name, b in model.balances.items() if b.rate == state]
 
 
 def _flows_linear_in(model: Model, state: str) -> list[str]:
