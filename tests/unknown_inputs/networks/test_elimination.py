@@ -246,7 +246,7 @@ def test_a_tall_left_inverse_may_be_chosen_and_is_checked():
     assert found.module(1, 4).equals(q / 2 / (q - 0.5))
     first = indirect_equations(network, sets)
     assert set(first.G[1]) == {3}
-    with pytest.raises(ModelError, match=r"no left inverse: f G has 2 .* wants 1.*Leave out"):
+    with pytest.raises(ModelError, match=r"no left inverse: f G has 2 .* needs 1.*Leave out"):
         indirect_equations(network, sets, filters={(2, 3): q / 2, (2, 4): q})
     with pytest.raises(ModelError, match="name it \\(unknown, measured\\)"):
         indirect_equations(network, sets, filters={(3, 2): q / 2})
