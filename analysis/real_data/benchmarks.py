@@ -23,7 +23,7 @@ from casid.model.effects.balance_effects import (
     quadratic_damping,
     quadratic_stiffness,
 )
-from casid.model.effects.unnamed_effects import power_law
+from casid.model.effects.flow_laws import power_law
 from problems import cascaded_tanks, multiarm_pendulum, silverbox
 
 ONCE = casid.FitSettings(starts=1)

@@ -27,6 +27,7 @@ from casid.model.effects.channel_effects import (
 from casid.model.effects.clock_effects import clock_effects_of
 from casid.model.effects.contact_effects import Side, backlash, end_stop
 from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.flow_laws import flow_law, is_positive, power_law, states_with_one_law
 from casid.model.effects.friction_effects import (
     asymmetric_coulomb,
     asymmetric_damping,
@@ -47,12 +48,8 @@ from casid.model.effects.search_ranges import CONTACT_RANGES, FRICTION_RANGES, R
 from casid.model.effects.sensor_effects import sensor_effects_of
 from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
 from casid.model.effects.unnamed_effects import (
-    flow_law,
-    is_positive,
     linear_loss,
     linear_restoring_force,
-    power_law,
-    states_with_one_law,
     unnamed_effects,
     uptakes_of,
 )

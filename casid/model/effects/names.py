@@ -63,3 +63,8 @@ def either_words(names: Iterable[str]) -> str:
     """`a`, `a or b`, `a, b or c`: one of them, each once."""
     *first, last = dict.fromkeys(names)
     return f"{', '.join(first)} or {last}" if first else last
+
+
+def bracketed(name: str) -> str:
+    """A name, or a sum of names in brackets."""
+    return name if name.replace("_", "").isalnum() or not name else f"({name})"

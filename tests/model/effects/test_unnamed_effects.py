@@ -14,11 +14,8 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import KINDS, Effect
-from casid.model.effects.unnamed_effects import (
-    power_law,
-    states_with_one_law,
-    unnamed_effects,
-)
+from casid.model.effects.flow_laws import power_law, states_with_one_law
+from casid.model.effects.unnamed_effects import unnamed_effects
 from problems import pendulum
 
 Array = np.ndarray

@@ -1,0 +1,177 @@
+"""Laws of flow: a flow in proportion to a level, pressure or temperature becomes one of its powers.
+
+What leaves a tank grows with the root of its level, what a room loses to the sky with the fourth
+power of its temperature. The exponent is estimated; its null value is 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.model.declarations import Parameter
+from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.effect import Effect
+from casid.model.effects.names import bracketed
+from casid.model.effects.place import Place, is_zero
+from casid.model.effects.places import place_named
+from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
+from casid.model.model import Model
+
+Expr = Any  # a CasADi expression
+
+
+def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
+    """A flow C d between two stores becomes C d (|d| / d_ref)^(n - 1), d the difference.
+
+    As `power_law`, for a difference of levels, pressures or temperatures, of either sign. `typical`
+    is d_ref. None for mechanical places, and where the model has no flow in proportion to d.
+    """
+    place = place_named(model, where)
+    if place.is_mechanical or place.damping is None or typical <= 0.0:
+        return None
+    small = carrying_unit((SMOOTHING.power * typical) ** 2)
+    whole = carrying_unit(typical**2 + small)
+    d, C, name = place.velocity, place.damping, bracketed(place.velocity_name)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        power = ca.exp(0.5 * (new.symbol(names[0]) - 1) * ca.log((d**2 + small) / whole))
+        place.add(new, C * d * (1 - power))
+
+    lower, upper = UNNAMED_EFFECTS.lowest_power, UNNAMED_EFFECTS.highest_power
+    suffix = "".join(c if c.isalnum() else "_" for c in place.velocity_name)
+    return Effect(
+        "unknown",
+        place.where,
+        (Parameter(f"exponent_{suffix}", "1", 1.0, lower=lower, upper=upper),),
+        apply,
+        shape=f"|{name}|^n",
+        description=f"a flow that grows with a power of {name}, not in proportion to it",
+        constants={"reference": typical},
+    )
+
+
+def power_law(
+    model: Model, state: str | Sequence[str], typical: float | Sequence[float]
+) -> Effect | None:
+    """x becomes x (|x| / x_ref)^(n - 1) in the equations that are linear in a positive state x.
+
+    What leaves a tank in proportion to its level is met again downstream: x is exchanged in every
+    balance and derivative whose right-hand side has it with a slope that depends on no state, and
+    not in outputs. `typical` is x_ref (x's unit), at which the flow is what it was: the estimates
+    of the flow's coefficient and of n then hardly depend on each other. Near x = 0 the power is
+    rounded at a thousandth of x_ref. The null value is n = 1. Several states (see
+    `states_with_one_law`) have one n, each its own x_ref.
+
+    None where x has a position, is one (a spring is no flow), or is in no such equation.
+    """
+    states = [state] if isinstance(state, str) else list(state)
+    places = [_flows_linear_in(model, x) for x in states]
+    if not all(places):
+        return None
+    levels = [float(x) for x in np.atleast_1d(typical)]
+    own = [name for name, b in model.balances.items() if b.rate in states]
+    suffix = "_".join(states)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        for x, rows, level in zip(states, places, levels, strict=True):
+            _exchange(new, x, rows, level, new.symbol(names[0]))
+        new._explicit = None
+
+    lower, upper = UNNAMED_EFFECTS.lowest_power, UNNAMED_EFFECTS.highest_power
+    shape = " and ".join(f"|{x}|^n" for x in states)
+    them = "it" if len(states) == 1 else "them"
+    flow = (
+        f"a power of {states[0]}" if len(states) == 1 else f"one power of {' and of '.join(states)}"
+    )
+    return Effect(
+        "unknown",
+        own[0] if own else states[0],
+        (Parameter(f"exponent_{suffix}", "1", 1.0, lower=lower, upper=upper),),
+        apply,
+        priority=-1,  # in a flow it is the law itself, and a constant its tangent
+        shape=shape,
+        description=f"a flow that grows with {flow}, not in proportion to {them}",
+        constants={"reference": levels[0]},
+    )
+
+
+def states_with_one_law(model: Model) -> list[tuple[str, ...]]:
+    """States whose flows have one coefficient: tanks, cells or rooms that the model takes as alike.
+
+    Their own right-hand sides have the same slope in parameters, so that what is wrong with the law
+    of one is wrong with those of all.
+    """
+    groups: list[tuple[Expr, list[str]]] = []
+    for state, own in _own_slopes(model).items():
+        for slope, members in groups:
+            if is_zero(slope - own):
+                members.append(state)
+                break
+        else:
+            groups.append((own, [state]))
+    return [tuple(members) for _, members in groups if len(members) > 1]
+
+
+def _own_slopes(model: Model) -> dict[str, Expr]:
+    """The slope of each state's own right-hand side, where it is an estimated flow's."""
+    unknown = [model.symbol(n) for n, p in model.parameters.items() if not p.is_known]
+    sides = {n: (b.rate, b.total) for n, b in model.balances.items()}
+    sides |= {n: (n, side) for n, side in model._rates.items()}
+    found = {}
+    for state in model.states:
+        for name in _flows_linear_in(model, state):
+            owner, side = sides[name]
+            slope = ca.jacobian(ca.SX(side), model.symbol(state))
+            if owner == state and any(any(ca.which_depends(slope, q)) for q in unknown):
+                found[state] = slope
+    return found
+
+
+def _flows_linear_in(model: Model, state: str) -> list[str]:
+    """`_linear_in` of what is no speed or position of a mechanical motion, else nothing."""
+    is_rate = model.position_of(state) is not None
+    is_position = any(model.position_of(rate) == state for rate in model.states)
+    return [] if is_rate or is_position else _linear_in(model, state)
+
+
+def _exchange(new: Model, state: str, rows: Sequence[str], typical: float, n: Expr) -> None:
+    """Put the power of a state in its place in these rows (see `power_law`)."""
+    x = new.symbol(state)
+    small = carrying_unit((SMOOTHING.power * typical) ** 2)
+    whole = carrying_unit(typical**2 + small)
+    law = x * ca.exp(0.5 * (n - 1) * ca.log((x**2 + small) / whole))
+    for name in rows:
+        if name in new.balances:
+            b = new.balances[name]
+            terms = tuple(ca.substitute(t, x, law) for t in b.terms)
+            new.balances[name] = replace(b, terms=terms)
+        else:
+            new._rates[name] = ca.substitute(new._rates[name], x, law)
+
+
+def _linear_in(model: Model, state: str) -> list[str]:
+    """Balances, by name, and states with a derivative whose right-hand side is linear in a state.
+
+    The slope may depend on parameters and inputs alone.
+    """
+    x = model.symbol(state)
+    states = ca.vertcat(*[model.symbol(name) for name in model.states])
+    sides = {name: b.total for name, b in model.balances.items()}
+    sides |= {name: e for name, e in model._rates.items() if model.symbol(name) is not x}
+    found = []
+    for name, side in sides.items():
+        slope = ca.jacobian(ca.SX(side), x)
+        if slope.nnz() and not any(ca.which_depends(slope, states)):
+            found.append(name)
+    return found
+
+
+def is_positive(lowest_and_most: tuple[float, float]) -> bool:
+    """True if a state stays above zero by at least a thousandth of its largest value."""
+    low, most = lowest_and_most
+    return bool(np.isfinite(most)) and low > SMOOTHING.above_zero * most > 0.0
