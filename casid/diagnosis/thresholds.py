@@ -511,6 +511,23 @@ class Friction:
         _FRICTION,
         "Runge-Kutta of order four is stable to 2.78 on the real axis",
     )
+    resolved: float = _is(
+        2.0,
+        "times as many steps as are stable, where likelihoods are compared: fewer err by as much",
+        _FRICTION,
+    )
+    in_the_end: int = _is(
+        100_000, "steps of a simulation up to which the reversal is resolved in the end", _FRICTION
+    )
+    doublings: int = _is(
+        8, "times that the speed is halved or doubled beside all causes, at most", _FRICTION
+    )
+    clearly: float = _is(
+        0.5,
+        "rise of the logarithm of the likelihood that is worth it: less moves no parameter by more "
+        "than its standard error",
+        _FRICTION,
+    )
     speeds: tuple[float, float] = _is(
         (0.3, 0.6),
         "of the rms speed, at which the model's resistance tells dry friction from the rest: the "

@@ -31,19 +31,12 @@ from casid.estimation.intervals.choice import (
 )
 from casid.estimation.intervals.of_estimate import with_intervals
 from casid.estimation.prediction_error.disturbances import Disturbance
-from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.input_feedback import feedback_notes
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
-    ASSUMES,
-    BIASED,
-    COLOURED,
-    CORRECTED,
-    INSTRUMENTED,
-    ErrorBars,
     channel_notes,
     estimate_of,
     method_of,
@@ -51,6 +44,7 @@ from casid.estimation.simulation.simulation_estimate import (
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.approach import approach
 from casid.identification.disturbed import identify_disturbed
+from casid.identification.error_bars import covariance_under_colour, error_bars
 from casid.identification.reference_instruments import instrumented
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.identification.unstable import fit_unstable
@@ -271,7 +265,7 @@ def _estimation(
         mask = np.array(free)
         if found.covariance is not None:
             return found.covariance
-        coloured = _coloured_covariance(found.fit, mask)
+        coloured = covariance_under_colour(found.fit, mask)
         if coloured is not None:
             return coloured[0]
         scores, tied = found.fit.criterion.scores(found.fit.x), found.fit.solution
@@ -320,42 +314,18 @@ def _cut_off(estimate: Estimate) -> Estimate:
 
 def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[str]) -> Estimate:
     """The estimate, with what became of the bias that noise on measured inputs gives."""
-    fit, method, bars = found.fit, method_of(found.fit), ErrorBars(ASSUMES)
+    fit, method = found.fit, method_of(found.fit)
     if fit.criterion.segments > 1 and not split.is_empty:
         length = window_length(fit) * max(d.Ts for d in fit.criterion.data)
         method = f"{method}; held out in windows of {length:.2g} s"
     if found.reference:
         method = f"instrumental variables from {found.reference}"
-        bars = ErrorBars(INSTRUMENTED, found.covariance)
     elif found.is_removed:
         method = f"{method}, without the bias of input noise"
-        bars = ErrorBars(CORRECTED, found.covariance, found.whiten)
-    elif found.why_not:
-        bars = ErrorBars(ASSUMES + BIASED)
-        if found.noisy or found.bias is None:
-            notes = [*notes, f"noise on measured inputs: {found.text}"]
-    if not found.is_removed:
-        bars = _coloured(fit, bars)
-    held_out = validation(fit, split)
+    elif found.why_not and (found.noisy or found.bias is None):
+        notes = [*notes, f"noise on measured inputs: {found.text}"]
+    held_out, bars = validation(fit, split), error_bars(found)
     return estimate_of(problem, fit, held_out, method=method, notes=notes, bars=bars)
-
-
-def _coloured(fit: Fit, bars: ErrorBars) -> ErrorBars:
-    """The errors under the spectrum of the residual, where it is coloured."""
-    held = {*fit.solution.at_lower, *fit.solution.at_upper}
-    free = np.array([name not in held for name in fit.criterion.names])
-    found = _coloured_covariance(fit, free)
-    if found is None:
-        return bars
-    orders = " and ".join(str(order) for order in found[1])
-    return ErrorBars(bars.assumes.replace(ASSUMES, COLOURED.format(orders=orders)), found[0])
-
-
-def _coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
-    """Of a fit without segments and constraints whose residual is coloured."""
-    if fit.criterion.segments > 1 or fit.solution.constraint_jacobian.size:
-        return None
-    return coloured_covariance(fit, free)
 
 
 def _fit(

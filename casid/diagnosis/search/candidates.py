@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from casid.arrays import TINY
 from casid.diagnosis.evidence.prewhitening import Weighted
@@ -43,15 +43,26 @@ class Rival:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adopted:
-    """An effect adopted in one round, with what that round saw."""
+    """An effect adopted in one round, with what that round saw.
+
+    Attributes
+    ----------
+    before : the model that it was adopted into.
+    is_alarm : True if it was the first, significant by itself under noise that is known.
+    share : of the misfit that all adopted effects removed.
+    near : what explains nearly as much, where misfit passed for noise.
+    rounding : variable -> standard deviation that not knowing how sharply dry friction reverses
+        gives to its estimate.
+    """
 
     candidate: Candidate
     p_value: float
     rivals: tuple[Rival, ...]
-    before: Weighted | None = None  # the model that it was adopted into
-    is_alarm: bool = False  # the first, significant by itself under noise that is known
-    share: float = 0.0  # of the misfit that all adopted effects removed
-    near: tuple[Candidate, ...] = ()  # that explain nearly as much, where misfit passed for noise
+    before: Weighted | None = None
+    is_alarm: bool = False
+    share: float = 0.0
+    near: tuple[Candidate, ...] = ()
+    rounding: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def contenders(self) -> tuple[Candidate, ...]:

@@ -15,6 +15,7 @@ from casid.diagnosis.search.record_specific import Specific, record_specific
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings
+from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.simulation.fit import weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 
@@ -26,7 +27,9 @@ class Findings:
     Attributes
     ----------
     at : the model as extended, under the noise found there; the baseline where nothing was adopted.
-    extended_fit : its simulation-error fit; None where nothing was adopted and no sign is wrong.
+    extended_fit : its simulation-error fit, without the bias of noise on measured inputs where that
+        can be removed; None where nothing was adopted and no sign is wrong.
+    corrected : what became of that bias, in the extended fit or else in the baseline's.
     specific : causes whose size differs from record to record.
     remainders : effects that are significant but explain too little to be causes.
     """
@@ -38,6 +41,7 @@ class Findings:
     adopted: tuple[Adopted, ...] = ()
     specific: tuple[Specific, ...] = ()
     remainders: tuple[Adopted, ...] = ()
+    corrected: Corrected | None = None
 
     @property
     def base_fit(self) -> Fit:
@@ -93,6 +97,9 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
             lambda: record_specific(baseline.weighing, adopted, whole, noise, split, settings.fit),
         )
         specific, extended, at = apart or (specific, extended, at)
+    corrected = _corrected(search, problem, extended or negated_fit or fit, settings)
+    if extended is not None and corrected is not None:
+        extended = corrected.fit
     return Findings(
         baseline,
         search,
@@ -101,6 +108,20 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         tuple(adopted),
         specific,
         found.remainders,
+        corrected,
+    )
+
+
+def _corrected(
+    search: Search, problem: Problem, fit: Fit, settings: DiagnosisSettings
+) -> Corrected | None:
+    """A fit without the bias of noise on measured inputs; None of one under a disturbance."""
+    if fit.criterion.whiten is not None:
+        return None
+    settings.progress("remove the bias of noise on measured inputs")
+    return search.attempts.attempt(
+        "the removal of the bias of noise on inputs",
+        lambda: without_input_noise(fit, problem.noise, seed=settings.fit.seed),
     )
 
 

@@ -6,8 +6,9 @@ size, and leaves a misfit that other terms seem to explain.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import casadi as ca
@@ -19,6 +20,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON, FRICTION
+from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balance_effects import coulomb_friction
 from casid.model.effects.places import place_named
 
@@ -90,6 +92,82 @@ def _finer(found: Candidate) -> int:
     criterion = found.fit.criterion
     steps = criterion.substeps * sum(d.N for d in criterion.data)
     return int(np.clip(FRICTION.samples // steps, 1, FRICTION.finer))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Likeliest:
+    """The likeliest smoothing speed.
+
+    Attributes
+    ----------
+    doublings : base-two logarithm of it, in units of the one before.
+    rounding : variable -> standard deviation that not knowing the speed gives to its estimate.
+    """
+
+    doublings: float
+    fit: Fit
+    rounding: dict[str, float]
+
+
+def likeliest_speed(doubled: Callable[[float, Fit], Fit | None], near: Fit) -> Likeliest | None:
+    """Half the speed, or twice, and so on while the likelihood rises clearly; then between them.
+
+    Parameters
+    ----------
+    doubled : the fit with the speed doubled so many times, from another fit; None where it would
+        take too many steps.
+    """
+    first = doubled(0.0, near)
+    if first is None:
+        return None
+    fits, k = {0.0: first}, 0.0
+    for step in (-1.0, 1.0):
+        while k + step not in fits and abs(k + step) <= FRICTION.doublings:
+            tried = doubled(k + step, fits[k])
+            if tried is None:
+                break
+            fits[k + step] = tried
+            if _rise(fits[k], tried) < FRICTION.clearly:
+                break
+            k += step
+    best, fit = k, fits[k]
+    falls = {step: -_rise(fit, fits[k + step]) for step in (-1.0, 1.0) if k + step in fits}
+    if len(falls) == 2 and sum(falls.values()) > 0.0:  # the vertex of the parabola through three
+        vertex = k + float(np.clip((falls[-1.0] - falls[1.0]) / (2 * sum(falls.values())), -1, 1))
+        middle = doubled(vertex, fit)
+        if middle is not None and _rise(fit, middle) > -FRICTION.clearly:
+            best, fit = vertex, middle
+    rounding = {}
+    if falls:
+        step = min(falls)
+        rounding = _of_rounding(fits[k], fits[k + step], falls[step])
+    return Likeliest(best, fit, rounding)
+
+
+def _rise(old: Fit, new: Fit) -> float:
+    """By how much the logarithm of the likelihood rises, for white noise of unknown size."""
+    ratio = old.solution.value / max(new.solution.value, TINY)
+    return 0.5 * new.criterion.n_samples * float(np.log(max(ratio, TINY)))
+
+
+def _of_rounding(fit: Fit, other: Fit, fall: float) -> dict[str, float]:
+    """Standard deviations that not knowing the smoothing speed gives to the estimates.
+
+    By how much half or twice the speed moves them: the estimates are linear in the speed. Where the
+    likelihood falls, the logarithm of the speed is as uncertain as that says; where it does not,
+    any speed between nothing and this one is as good (Pawitan 2001, section 3.4).
+    """
+    known_to = min(1 / max(2 * fall, TINY), 4 / 3)
+    return {
+        name: float(np.sqrt(known_to)) * abs(other.values[name] - value)
+        for name, value in fit.values.items()
+        if name in other.values
+    }
+
+
+def steps_needed(found: Candidate, speed: float) -> int:
+    """Steps a sample that follow a reversal within a smoothing speed."""
+    return math.ceil(found.fit.criterion.substeps * _sharpest(found) / speed)
 
 
 def _sharpest(found: Candidate) -> float:

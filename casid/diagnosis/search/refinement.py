@@ -32,18 +32,19 @@ from casid.diagnosis.search.candidates import (
     taken_out,
 )
 from casid.diagnosis.search.contributions import contributions_of
-from casid.diagnosis.search.friction_speeds import sharper
-from casid.diagnosis.search.reconsideration import without_cause
+from casid.diagnosis.search.friction_speeds import likeliest_speed, steps_needed
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     simulation_errors,
     why_held_out,
 )
-from casid.diagnosis.thresholds import JUDGING, ROUNDS
+from casid.diagnosis.thresholds import FRICTION, JUDGING, ROUNDS
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.thresholds import STEPS
+from casid.model.effects.balance_effects import coulomb_friction
 from casid.model.model import Model
 
 
@@ -83,11 +84,14 @@ class Refinement:
             first = c.names[0]
             if len(kept) == 1 or c.effect.test != "score":
                 continue
-            if abs(wald(fit, first, null_values(c)[first])) > ROUNDS.backward_wald:
+            # At a bound, and where parameters exchange for each other, none is known by itself.
+            is_at_bound = first in (*fit.solution.at_lower, *fit.solution.at_upper)
+            distance = abs(wald(fit, first, null_values(c)[first]))
+            if not is_at_bound and distance > ROUNDS.backward_wald:
                 continue
             without = self._without(fit, c)
-            if c.effect.cost > 1 and self._is_missed(fit, without):
-                continue  # its parameters exchange for each other, and none is known by itself
+            if (is_at_bound or c.effect.cost > 1) and self._is_missed(fit, without):
+                continue
             refused.append((c, "the other causes together leave nothing for it to explain"))
             kept.remove(a)
             fit = without
@@ -123,25 +127,61 @@ class Refinement:
                     fit, errors, is_new = other, after, True
         return self._refined(found, adopted, fit) if is_new else found
 
-    def sharp(self, found: Adoption) -> Adoption:
-        """With dry friction that reverses as sharply as the other causes let it show."""
-        adopted, is_new = list(found.adopted), False
+    def sharp(self, found: Adoption, most: int = FRICTION.in_the_end) -> Adoption:
+        """With dry friction that reverses as sharply as the whole records show.
+
+        A blunt reversal is made up for by what is not there: Stribeck's friction, a sensor's scale.
+
+        Parameters
+        ----------
+        most : steps of a simulation that it may take.
+        """
+        adopted, fit = list(found.adopted), found.fit
+        assert fit is not None
         for i, a in enumerate(adopted):
-            if a.candidate.effect.kind != "coulomb_friction" or len(adopted) == 1:
-                continue
-            others = [b.candidate for b in adopted if b is not a]
-            bare = without_cause(self.search, others, self.start, found.at)
-            now = self.search.refitting.again(bare, a.candidate)
-            if now is None:
-                continue
-            best = sharper(self.search.refitting, bare, now, self.search.progress)
-            if best is not now:
-                adopted[i], is_new = replace(a, candidate=best), True
-        if not is_new:
-            return found
-        placed, fit = self._with([a.candidate for a in adopted], found.fit)
-        adopted = [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
+            if a.candidate.effect.kind == "coulomb_friction":
+                adopted, fit = self._sharpened(adopted, i, fit, most)
+        if fit is found.fit:
+            return replace(found, adopted=tuple(adopted))
         return self._refined(found, adopted, fit)
+
+    def _sharpened(
+        self, adopted: list[Adopted], i: int, fit: Fit, most: int
+    ) -> tuple[list[Adopted], Fit]:
+        """With the likeliest smoothing speed of one of the causes."""
+        own = adopted[i].candidate.effect
+        self.search.progress(f"choose the sharpness of {name_of(own)}")
+        affordable = min(STEPS.last, most // fit.criterion.n_samples)
+        placed: dict[float, list[Adopted]] = {}
+
+        def doubled(k: float, near: Fit) -> Fit | None:
+            speed = own.constants["speed"] * 2.0**k
+            last = replace(adopted[i].candidate, fit=near, model=near.criterion.model)
+            needed = steps_needed(last, speed)
+            if needed > affordable:
+                return None
+            steps = max(fit.criterion.substeps, min(round(FRICTION.resolved * needed), affordable))
+            placed[k], new = self._at_speed(adopted, i, speed, near, steps)
+            return new
+
+        likeliest = likeliest_speed(doubled, fit)
+        if likeliest is None:
+            return adopted, fit
+        new = placed[likeliest.doublings]
+        new[i] = replace(new[i], rounding=likeliest.rounding)
+        return new, likeliest.fit
+
+    def _at_speed(
+        self, adopted: Sequence[Adopted], i: int, speed: float, near: Fit, substeps: int
+    ) -> tuple[list[Adopted], Fit]:
+        """The causes with another smoothing speed of one, and their fit."""
+        causes = [a.candidate for a in adopted]
+        effect = coulomb_friction(self.start.model, causes[i].effect.where, speed)
+        if effect.constants == causes[i].effect.constants and substeps <= near.criterion.substeps:
+            return list(adopted), near
+        causes[i] = replace(causes[i], effect=effect)
+        placed, fit = self._with(causes, near, substeps)
+        return [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)], fit
 
     def main(self, found: Adoption) -> Adoption:
         """Without what explains too little and carries no parameter, the smallest first.
@@ -219,18 +259,28 @@ class Refinement:
         left = (1 - JUDGING.practical) * old.held_out_square  # less is no better in practice
         return fits and 0.0 <= new.held_out_square < left and not why_held_out(old, new)
 
-    def _with(self, causes: Sequence[Candidate], near: Fit | None) -> tuple[list[Candidate], Fit]:
+    def _with(
+        self, causes: Sequence[Candidate], near: Fit | None, substeps: int | None = None
+    ) -> tuple[list[Candidate], Fit]:
         """These causes in the model as it is, by their new names, and its fit from `near`."""
         model, placed = extended_by(self.start.model, causes)
         known = {} if near is None else near.values
         values = {**self.start.fit.values, **known, **_values(placed, causes)}
-        return placed, whole_fit(model, self.split, self.settings, self.units, values)
+        settings = replace(self.settings, substeps=substeps or self.settings.substeps)
+        return placed, whole_fit(model, self.split, settings, self.units, values)
 
     def _without(self, fit: Fit, c: Candidate) -> Fit:
-        """The model fitted again without one effect."""
+        """The model fitted again without one effect, from what it was beside it and before.
+
+        What an effect exchanges for is far from where it would be alone.
+        """
         model = taken_out(fit.criterion.model, null_values(c))
         values = {k: v for k, v in fit.values.items() if k not in c.names}
-        return whole_fit(model, self.split, self.settings, self.units, values)
+        fits = [
+            whole_fit(model, self.split, self.settings, self.units, start)
+            for start in (values, {**values, **self.start.fit.values})
+        ]
+        return min(fits, key=lambda found: float(found.solution.value))
 
     def _lean(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
         """The model built anew with the effects that are left: no term stays at its null value."""

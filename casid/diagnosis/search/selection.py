@@ -26,10 +26,12 @@ from casid.diagnosis.search.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
-from casid.diagnosis.thresholds import COMPARISON, ROUNDS
+from casid.diagnosis.thresholds import COMPARISON, FRICTION, ROUNDS
 from casid.estimation.holdout import Split, why_worse
 from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
+
+SHARPNESS = "the sharpness of dry friction"
 
 
 def adopt_causes(
@@ -45,6 +47,7 @@ def adopt_causes(
     while len(state.adopted) < search.max_causes and state.adopt_next():
         state.exchange_last()
         if under is None:
+            state.sharpen(refine)
             state.exchange_for_prediction(refine)
     if not state.adopted:
         return Adoption((), at, None)
@@ -60,10 +63,12 @@ def adopt_causes(
     refine = Refinement(search, split, once, units, at, errors)
     for what, step in (
         (superfluous, refine.significant),
-        ("the sharpness of dry friction beside the other causes", refine.sharp),
+        (SHARPNESS, refine.sharp),
         ("the test whether every cause matters", refine.main),
     ):
         found = attempt(what, partial(step, found)) or found
+    if found.remainders:  # they made up for what a blunt reversal leaves
+        found = attempt(SHARPNESS, partial(refine.sharp, found)) or found
     return found
 
 
@@ -235,7 +240,16 @@ class _Selection:
         Only where the noise model absorbed misfit at first: see `Refinement.exchanged`.
         """
         what = "the comparison of the causes with their rivals by what was held out"
-        found = self.search.attempts.attempt(what, partial(refine.exchanged, self.found))
+        self._take(self.search.attempts.attempt(what, partial(refine.exchanged, self.found)))
+
+    def sharpen(self, refine: Refinement) -> None:
+        """Let dry friction that was adopted last reverse as sharply as the records show."""
+        if self.adopted[-1].candidate.effect.kind == "coulomb_friction":
+            sharp = partial(refine.sharp, self.found, FRICTION.samples)
+            self._take(self.search.attempts.attempt(SHARPNESS, sharp))
+
+    def _take(self, found: Adoption | None) -> None:
+        """Go on from what was refined, if it was."""
         if found is None or found.fit is None or found.fit is self.fit:
             return
         self.adopted, self.at, self.fit = list(found.adopted), found.at, found.fit

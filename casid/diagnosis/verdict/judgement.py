@@ -15,6 +15,7 @@ from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
+from casid.diagnosis.verdict.error_bars import bars_of
 from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
@@ -84,10 +85,19 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     """Name the causes, compute how much they explain, and decide."""
     base_fit, extended_fit, start = found.base_fit, found.extended_fit, found.baseline
     attempt = found.search.attempts.attempt
-    baseline = estimate_of(problem, base_fit, validation(base_fit, start.recorded))
+    own = found.corrected if extended_fit is None else None
+    baseline = estimate_of(
+        problem,
+        base_fit,
+        validation(base_fit, start.recorded),
+        bars=bars_of(base_fit, own),
+    )
     extended = None
     if extended_fit is not None:
-        extended = estimate_of(problem, extended_fit, validation(extended_fit, start.split))
+        bars = bars_of(extended_fit, found.corrected, [a.rounding for a in found.adopted])
+        extended = estimate_of(
+            problem, extended_fit, validation(extended_fit, start.split), bars=bars
+        )
         if extended.model is not None:
             extended = replace(
                 extended, model=extended_model(found, extended.model, baseline.model)

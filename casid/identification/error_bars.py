@@ -1,0 +1,44 @@
+"""The error bars of a simulation-error fit, by what became of the noise on its inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.estimation.errors_in_variables.removal import Corrected
+from casid.estimation.residual_spectrum import coloured_covariance
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_estimate import (
+    ASSUMES,
+    BIASED,
+    COLOURED,
+    CORRECTED,
+    INSTRUMENTED,
+    ErrorBars,
+)
+
+
+def error_bars(found: Corrected) -> ErrorBars:
+    """Of the root without the noise of inputs, or of the minimum under its residual's spectrum."""
+    if found.reference:
+        return ErrorBars(INSTRUMENTED, found.covariance)
+    if found.is_removed:
+        return ErrorBars(CORRECTED, found.covariance, found.whiten)
+    fit, assumes = found.fit, ASSUMES + BIASED if found.why_not else ASSUMES
+    held = {*fit.solution.at_lower, *fit.solution.at_upper}
+    free = np.array([name not in held for name in fit.criterion.names])
+    coloured = covariance_under_colour(fit, free)
+    if coloured is None:
+        return ErrorBars(assumes)
+    orders = " and ".join(str(order) for order in coloured[1])
+    return ErrorBars(assumes.replace(ASSUMES, COLOURED.format(orders=orders)), coloured[0])
+
+
+def covariance_under_colour(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
+    """Covariance (n, n) and orders of the spectrum, where the residual of a fit is coloured.
+
+    None of a fit in segments or under constraints.
+    """
+    if fit.criterion.segments > 1 or fit.solution.constraint_jacobian.size:
+        return None
+    return coloured_covariance(fit, free)
