@@ -86,11 +86,9 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     base_fit, extended_fit, start = found.base_fit, found.extended_fit, found.baseline
     attempt = found.search.attempts.attempt
     own = found.corrected if extended_fit is None else None
+    own_fit = own.fit if own is not None else base_fit
     baseline = estimate_of(
-        problem,
-        base_fit,
-        validation(base_fit, start.recorded),
-        bars=bars_of(base_fit, own),
+        problem, own_fit, validation(own_fit, start.recorded), bars=bars_of(own_fit, own)
     )
     extended = None
     if extended_fit is not None:
