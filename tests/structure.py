@@ -142,6 +142,7 @@ def imports() -> dict[str, set[str]]:
     known = {module(p) for p in sources("casid")}
     out: dict[str, set[str]] = {m: set() for m in known}
     for path in sources("casid"):
+        own = module(path)
         for node in ast.walk(tree(path)):
             names: list[str] = []
             if isinstance(node, ast.ImportFrom) and node.module:
@@ -149,7 +150,7 @@ def imports() -> dict[str, set[str]]:
                 names = [n if n in known else node.module for n in full]
             elif isinstance(node, ast.Import):
                 names = [a.name for a in node.names]
-            out[module(path)] |= {n for n in names if n in known} - {module(path)}
+            out[own] |= {n for n in names if n in known} - {own}
     return out
 
 

@@ -139,7 +139,7 @@ def identify(problem: str, **given: Any) -> None:
                     progress=progress,
                 )
         progress("write the report")
-        page = present(estimate, "page")
+        page = present(result, "page", *([fitted] if by_instruments else []))
 
         def write(place: Path) -> None:
             result.write(place)

@@ -322,6 +322,7 @@ def _result(
                 for values in several
             ],
             "durations": [plain_fields(t) for t in tried],
+            "hold": setup.excitation.hold,
             "versions": dict(versions()),
         },
     )

@@ -249,7 +249,7 @@ class DesignedExperiment(Presented, Saved):
     limits: tuple[LimitUse, ...]
     solver: SolverEvidence
     units: Mapping[str, str] = field(default_factory=dict)
-    details: Mapping[str, Any] = field(default_factory=dict)  # notes, versions
+    details: Mapping[str, Any] = field(default_factory=dict)  # notes, hold, versions
 
     @property
     def record(self) -> Record:
@@ -265,6 +265,11 @@ class DesignedExperiment(Presented, Saved):
     def is_enough(self) -> bool:
         """True where the right answer is as probable as a design is to make it."""
         return self.power >= DESIGN.power
+
+    @property
+    def is_held(self) -> bool:
+        """True if the designed inputs are constant between their samples."""
+        return self.details.get("hold") == "zoh"
 
     @property
     def notes(self) -> tuple[str, ...]:

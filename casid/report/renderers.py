@@ -80,7 +80,10 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
         "figure": "figures.model_comparison.model_comparison_figure",
     },
     "ModuleEstimate": {"document": "texts.networks.module_document"},
-    "MomentEstimate": {"document": "texts.estimates.moment_estimate_document"},
+    "MomentEstimate": {
+        "document": "texts.estimates.moment_estimate_document",
+        "report": "pages.estimate_page.moment_report",
+    },
     "MonteCarlo": {
         "document": "texts.estimates.monte_carlo_document",
         "figure": "figures.histograms.histogram_figure",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import html
+import os
 import re
 import shutil
 import tempfile
@@ -65,7 +66,9 @@ def _run_page(app: Any, name: str, source: list[str]) -> None:
 
 @contextlib.contextmanager
 def _scratch(root: Path) -> Iterator[None]:
-    """A folder to run in."""
+    """A folder to run in; `CASID_SHARED` is by default the folder beside the checkout."""
+    if (root.parent / "shared").exists():
+        os.environ.setdefault("CASID_SHARED", str(root.parent / "shared"))
     with tempfile.TemporaryDirectory() as folder:
         if (root / "problems").exists():
             shutil.copytree(root / "problems", Path(folder) / "problems")

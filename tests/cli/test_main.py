@@ -596,6 +596,8 @@ def test_identify_by_instruments_is_the_call_of_the_library(pendulum: list[Any])
     assert json.loads(Path("o/estimate.json").read_text()) == found
     page = Path("o/report.html").read_text()
     assert "instrumental variables, joint, eliminated form" in page
+    assert "Measured outputs and free simulation; choose one of 2 records below the figure" in page
+    assert "only its initial state is fitted" in page
     nominal = casid("identify", PENDULUM, "nominal=nominal.csv", *BY_INSTRUMENTS, "--out", "n")
     assert re.search(r"^  k .*\n  d .*\n  I_x ", nominal.stdout, re.MULTILINE)  # the unknown ones
 

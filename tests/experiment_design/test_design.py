@@ -59,6 +59,20 @@ def test_a_design_separates_better_than_every_standard_input(
         assert use.lower <= use.lowest <= use.highest <= use.upper
 
 
+def test_an_input_that_is_held_is_drawn_in_steps_to_the_end_of_the_record(
+    separated: casid.DesignedExperiment,
+) -> None:
+    assert separated.is_held
+    drawn = next(t for t in separated.plot().data if t.name == "designed input")
+    assert drawn.line.shape == "hv"
+    assert drawn.x[-1] == separated.duration
+    t, u = separated.record.t, separated.record["u"]
+    held = np.searchsorted(drawn.x, t, side="right") - 1
+    assert np.array_equal(np.asarray(drawn.y)[held], u)  # every sample, between two steps
+    others = [t for t in separated.plot().data if t.name != "designed input"]
+    assert {t.line.shape for t in others} <= {None, "linear"}
+
+
 def test_of_several_sizes_of_a_cause_the_worst_counts(
     separated: casid.DesignedExperiment,
 ) -> None:

@@ -21,7 +21,7 @@ from tests.support.shared import ROOT
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
-ASSETS, RECORDS = 2, 8
+ASSETS, RECORDS = 2, 4
 TABLES = ("causes.parquet", "parameters.parquet")
 
 
@@ -79,7 +79,7 @@ def test_the_main_process_is_killed_at_random_moments(
     heaters: Path, undisturbed: list[object], tmp_path: Path
 ) -> None:
     rng, out = np.random.default_rng(7), tmp_path / "out"
-    for _ in range(3):
+    for _ in range(2):
         there = len(list(out.glob("records/parts/*")))
         running = started(command(heaters, out, "--jobs", "2"))
         wait_for(running, out, there + int(rng.integers(0, 3)))

@@ -125,6 +125,41 @@ def test_a_figure_is_drawn_when_its_section_unfolds(rich, tmp_path):
     assert ['class="main-svg"' in p for p in plots] == [True] * 2 + [False] * (len(plots) - 2)
 
 
+KEYS = """<script>window.addEventListener("load", function () {
+  var waiting = setInterval(function () {
+    var place = document.querySelector(".plot"), toggle = place.querySelector(".legendtoggle");
+    if (!toggle || !toggle.onkeydown) { return; }
+    clearInterval(waiting);
+    function seen() { return place.data.map(function (t) { return String(t.visible); }).join(); }
+    var list = document.querySelector(".choice select"), out = [seen()];
+    toggle.dispatchEvent(new KeyboardEvent("keydown", { key: " " }));
+    out.push(seen());
+    list.selectedIndex = 1;
+    list.dispatchEvent(new Event("change"));
+    out.push(seen());
+    document.title = "KEYS " + out.join(" ");
+  }, 50);
+});</script>"""
+
+
+@in_browser
+def test_the_keyboard_chooses_the_record_and_hides_a_curve(tmp_path):
+    """plotly's own menu and legend take only a pointer: the page has a list and check boxes."""
+    path = tmp_path / "page.html"
+    page = page_of(samples.deficient(records=2, N=200))
+    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page, count=1)
+    path.write_text(page.replace("</body></html>", KEYS + "</body></html>"), encoding="utf-8")
+    dom, console = browse(path, tmp_path, "--window-size=1280,2000", "--dump-dom")
+    assert console == []
+    seen = re.search(r"<title>KEYS (\S+) (\S+) (\S+)</title>", dom)
+    assert seen, "the page has no list of records, or no check boxes"
+    first, hidden, second = seen.groups()
+    assert first == "true,true,true,false,false,false"
+    assert hidden == "legendonly,true,true,false,false,false"
+    assert second == "false,false,false,true,true,true"
+    assert re.findall(r"<option>([^<]*)</option>", dom)[:2] == ["swing-07", "swing-08"]
+
+
 @in_browser
 @pytest.mark.parametrize("name", ["rich", "hostile", "others"])
 def test_nothing_makes_the_page_scroll_sideways(name, request, tmp_path):

@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 
 import pytest
 
+import casid
 from casid.model.quantities import unit_text
 from casid.report.figures.diagnosis import diagnosis_figures
 from tests.support import sample_parts, samples
@@ -261,3 +262,18 @@ def test_an_estimate_has_a_page_with_its_parameters_and_fit():
         assert expected in text
     assert page.count('class="plot"') == 2
     assert page_of(d.baseline).count('class="plot"') == 1
+
+
+def test_an_estimate_from_moments_shows_its_records_simulated_or_says_why_not():
+    from problems.pendulum import experiments, indirect_model
+
+    made = experiments(duration=30.0)
+    model = indirect_model().with_known(k=10.39).with_unknown("I_x", "d")
+    found = casid.instrumental_variables(model, made[0], casid.Instruments("ref"))
+    page = page_of(found, made[:1])
+    assert page.count('class="plot"') == 2
+    assert "only its initial state is fitted" in page
+    unsimulated = replace(found, estimate=replace(found.estimate, model=None))
+    page = page_of(unsimulated, made[:1])
+    assert page.count('class="plot"') == 1
+    assert "Not simulated: the model has an input that nobody measures" in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -33,6 +34,7 @@ KEYS = (
 )
 
 
+@cache
 def isolability(keys: tuple[tuple[str, str], ...] = KEYS) -> Isolability:
     """Angles drawn at random; delay and lag of the gyro are the same thing."""
     rng = np.random.default_rng(5)

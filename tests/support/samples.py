@@ -8,6 +8,7 @@ numbers around the signals are plausible, and consistent with each other.
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -72,8 +73,9 @@ def pendulum(a: np.ndarray, *, k: float, d: float, d_2: float, s: float) -> np.n
     return x
 
 
+@cache
 def view(*, N: int = 6000, seed: int = 3, name: str = "swing-07", d_2: float = 0.35) -> RecordView:
-    """The record, its last 30 % held out; the extended model is the truth."""
+    """The record, its last 30 % held out; the extended model is the truth. Nobody changes it."""
     rng = np.random.default_rng(seed)
     t = 12.0 + TS * np.arange(N)
     a = np.convolve(rng.standard_normal(N), np.hanning(25) / 4, mode="same")
@@ -88,6 +90,8 @@ def view(*, N: int = 6000, seed: int = 3, name: str = "swing-07", d_2: float = 0
     if N > 2010:
         measured[2000:2010, 0] = np.nan
         used[2000:2010, 0] = False
+    for made in (t, measured, used, before, x):
+        made.setflags(write=False)
     return RecordView(
         name=name,
         t=t,

@@ -11,7 +11,7 @@ from casid.experiment_design.designed_experiment import DesignedExperiment, Limi
 from casid.model.units import difference_from_si, from_si
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, BEFORE, FLOOR, MEASURED, axis_text, hover_text
-from casid.report.figures.thinning import points_a_trace, thinned
+from casid.report.figures.thinning import POINTS, points_a_trace, thinned
 
 _LOOKS = ((AFTER, "solid"), (BEFORE, "dash"), (FLOOR, "dot"), (MEASURED, "dashdot"))
 
@@ -32,7 +32,9 @@ def designed_input_figure(found: DesignedExperiment) -> Any:
         shown = list(found.records.items())[: 1 if name in found.inputs else len(_LOOKS)]
         for (label, record), look in zip(shown, _LOOKS, strict=False):
             y = np.asarray(from_si(record[name], found.units[name]))
-            label = "designed input" if name in found.inputs else label
+            if name in found.inputs:
+                _input(figure, k, found, y, look)
+                continue
             _line(figure, k, record.t, y, label, look, (found.units[name], limit))
         _ends(figure, k, found, used.get(name))
         figure.label(k, y=axis_text(name, found.units[name]))
@@ -55,6 +57,23 @@ def designed_input_figure(found: DesignedExperiment) -> Any:
     return figure.done(caption + ".", [])
 
 
+def _input(
+    figure: Panels, k: int, found: DesignedExperiment, y: Array, look: tuple[str, str]
+) -> None:
+    """An input in its unit (N,): in steps to the end of the record where it is held, else straight.
+
+    Of steps only the samples at which they begin are drawn, so that thinning moves none.
+    """
+    t, unit = found.record.t, found.units[found.inputs[k]]
+    if not found.is_held:
+        limit = points_a_trace(len(found.inputs))
+        _line(figure, k, t, y, "designed input", look, (unit, limit))
+        return
+    begins = np.flatnonzero(np.diff(y, prepend=np.inf))
+    t, y = np.append(t[begins], found.duration), np.append(y[begins], y[-1])
+    _line(figure, k, t, y, "designed input", look, (unit, POINTS), shape="hv")
+
+
 def _line(
     figure: Panels,
     k: int,
@@ -63,6 +82,8 @@ def _line(
     name: str,
     look: tuple[str, str],
     drawn: tuple[str, int],
+    *,
+    shape: str = "linear",
 ) -> None:
     unit, limit = drawn
     i = thinned(y, limit)
@@ -72,7 +93,7 @@ def _line(
         y=y[i],
         name=name,
         mode="lines",
-        line={"color": look[0], "dash": look[1], "width": 1.5},
+        line={"color": look[0], "dash": look[1], "width": 1.5, "shape": shape},
         hovertemplate=hover_text("s", unit),
     )
 

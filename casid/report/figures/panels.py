@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from casid.arrays import Array
 from casid.estimation.estimate import RecordView
 from casid.report.figures.record_views import part_shapes, time_range
-from casid.report.figures.style import AFTER, FONT, figure_text, translucent
+from casid.report.figures.style import AFTER, FONT, figure_text, translucent, visible_text
 
 _AXIS: dict[str, Any] = {
     "title_font": {"size": 13},
@@ -242,6 +242,7 @@ class Panels:
                 "row_height": self.row_height,
                 "gap": self.gap,
                 "bottom": bottom,
+                **({"names": [visible_text(v.name) for v, *_ in self.menu]} if several else {}),
             },
         )
         if self.menu:

@@ -27,9 +27,9 @@ DRAW = """
   var coarse = window.matchMedia("(pointer: coarse)").matches;
   var narrowBelow = 620;
   var light = { ink: "#222222", grid: "#e8e8e8", fine: "#f3f3f3", zero: "#bdbdbd",
-    paper: "#ffffff" };
+    icon: "#767676" };
   var dark = { ink: "#d5dbe3", grid: "#343c47", fine: "#262c35", zero: "#59636f",
-    paper: "#1d232b" };
+    icon: "#8b96a3" };
   var drawn = [];
   function palette() {
     var theme = document.documentElement.dataset.theme;
@@ -41,7 +41,7 @@ DRAW = """
     layout.font = Object.assign(layout.font || {}, { color: look.ink });
     layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
     layout.modebar = Object.assign(layout.modebar || {},
-      { bgcolor: "rgba(0,0,0,0)", color: look.zero, activecolor: look.ink });
+      { bgcolor: "rgba(0,0,0,0)", color: look.icon, activecolor: look.ink });
     Object.keys(layout).forEach(function (key) {
       if (!/^[xy]axis/.test(key)) { return; }
       layout[key].gridcolor = look.grid;
@@ -50,9 +50,8 @@ DRAW = """
     });
     function label(shape) { if (shape.label) { shape.label.font.color = look.ink; } }
     (layout.shapes || []).forEach(label);
-    (layout.updatemenus || []).forEach(function (menu) {
-      menu.bgcolor = look.paper;
-      menu.buttons.forEach(function (button) { (button.args[1].shapes || []).forEach(label); });
+    (layout.meta.choices || []).forEach(function (choice) {
+      (choice.args[1].shapes || []).forEach(label);
     });
     data.forEach(function (trace) {
       [trace.line, trace.marker].forEach(function (part) {
@@ -80,9 +79,61 @@ DRAW = """
     layout.height = narrow ? inside + wide.margin.t + meta.bottom : wide.height;
     return layout;
   }
+  function chooser(place, menu, meta) {  // the menu as a list of the page, for the keyboard
+    var label = document.createElement("label"), list = document.createElement("select");
+    meta.choices = menu.buttons;
+    menu.buttons.forEach(function (button, i) {
+      var entry = document.createElement("option");
+      entry.textContent = meta.names[i];
+      list.appendChild(entry);
+    });
+    list.addEventListener("change", function () {
+      var args = menu.buttons[list.selectedIndex].args;
+      Plotly.update(place, args[0], args[1]);
+    });
+    label.className = "choice";
+    label.append("Record ", list);
+    place.insertAdjacentElement("afterend", label);
+  }
+  function equip(place) {  // what a click in the legend does, by the keyboard
+    place.querySelectorAll(".legend .traces").forEach(function (entry, i) {
+      var toggle = entry.querySelector(".legendtoggle");
+      var trace = entry.__data__ && entry.__data__[0] && entry.__data__[0].trace;
+      if (!toggle || !trace) { return; }
+      function isOn() { return place.data[trace.index].visible !== "legendonly"; }
+      toggle.setAttribute("tabindex", "0");
+      toggle.setAttribute("role", "checkbox");
+      toggle.setAttribute("aria-label", "show " + entry.textContent.trim());
+      toggle.setAttribute("aria-checked", String(isOn()));
+      if (place.dataset.toggled === String(i)) {  // plotly has drawn the legend anew
+        delete place.dataset.toggled;
+        toggle.focus();
+      }
+      toggle.onkeydown = function (event) {
+        if (event.key !== " " && event.key !== "Enter") { return; }
+        event.preventDefault();
+        place.dataset.toggled = i;
+        var group = place.data[trace.index].legendgroup, alike = [];
+        place.data.forEach(function (other, k) {
+          var isShown = other.visible !== false;  // of another record it is not
+          var isAlike = k === trace.index || (group && other.legendgroup === group);
+          if (isShown && isAlike) { alike.push(k); }
+        });
+        Plotly.restyle(place, { visible: isOn() ? "legendonly" : true }, alike);
+      };
+    });
+  }
   function draw(place) {
     var figure = JSON.parse(document.getElementById(place.id.replace("figure-", "data-"))
       .textContent);
+    var menu = (figure.layout.updatemenus || [])[0];
+    if (menu) {
+      delete figure.layout.updatemenus;
+      chooser(place, menu, figure.layout.meta);
+      figure.layout.margin.b -= 46;  // where the menu was
+      figure.layout.meta.bottom -= 46;
+      figure.layout.height -= 46;
+    }
     var wide = JSON.parse(JSON.stringify(figure.layout));
     var layout = adapt(figure.layout, wide, place.clientWidth);
     var wasNarrow = place.clientWidth < narrowBelow;
@@ -96,6 +147,8 @@ DRAW = """
       displayModeBar: wasNarrow ? false : coarse ? true : "hover",
       modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]]  // nothing that sends data
     });
+    equip(place);
+    place.on("plotly_afterplot", function () { equip(place); });
     function refit(width) {
       var narrow = width < narrowBelow;
       if (narrow === wasNarrow || !width) { return; }

@@ -105,6 +105,11 @@ td code { background: none; padding: 0; }
 .lines { font-size: 14px; max-width: none; padding-left: 28px; }
 figure { margin: 16px 0; }
 .plot { width: 100%; overflow: hidden; }
+.plot .modebar-btn:focus-visible, .plot .legendtoggle:focus-visible {
+  outline: 2px solid var(--link) !important; outline-offset: -2px; }
+.choice { display: block; font-size: 14px; }
+.choice select { font: inherit; max-width: 100%; color: var(--ink); background: var(--paper);
+  border: 1px solid var(--soft); border-radius: 4px; padding: 3px 6px; }
 figcaption { color: var(--soft); font-size: 14px; max-width: 90ch; margin-top: 4px; }
 @media (max-width: 620px) {
   body { padding: 0 14px 40px; }

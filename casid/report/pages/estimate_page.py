@@ -4,22 +4,79 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
+from casid.data.experiment import Experiment
+from casid.errors import CasidError
 from casid.estimation.estimate import Estimate, RecordView
-from casid.report.document import Banner, Bullets, Document, Section, Table, figure_parts
+from casid.estimation.moments.moment_estimate import MomentEstimate
+from casid.report.document import (
+    Banner,
+    Bullets,
+    Document,
+    Part,
+    Section,
+    Table,
+    figure_parts,
+)
 from casid.report.figures.estimates import parameter_figure
+from casid.report.figures.free_simulation import simulated_views
 from casid.report.figures.simulated import simulation_figure
 from casid.report.numbers import interval_lines, number_text
 from casid.report.pages.estimate_parts import evidence_table, notice, parameter_table, provenance
 from casid.report.verdicts import judged_estimate
 
 
-def estimate_report(estimate: Estimate, records: Sequence[RecordView] | None = None) -> Document:
+def moment_report(found: MomentEstimate, experiments: Sequence[Experiment] = ()) -> Document:
+    """The estimate from moments, with measured against simulated outputs of `experiments`.
+
+    Moment equations simulate nothing: each record is simulated from its recorded inputs with the
+    estimated values, and of these only the initial state is fitted to it.
+    """
+    e = found.estimate
+    views: tuple[RecordView, ...] = ()
+    remarks: list[Part] = []
+    if experiments:
+        try:
+            views = simulated_views(e, experiments)
+            remarks.append(
+                "Every record is simulated from its recorded inputs with the estimated values; "
+                "only its initial state is fitted."
+            )
+        except CasidError as error:
+            remarks.append(f"Not simulated: {error}")
+    report = estimate_report(e, views, remarks)
+    if len(found.stages) < 2 and found.prior is None:
+        return report
+    head = ("parameter", "std. error", "with earlier stages taken as exact", "unit")
+    rows = [
+        (
+            name,
+            number_text(found.std_error(name)),
+            number_text(found.std_error(name, propagated=False)),
+            found.parameter(name).unit,
+        )
+        for name in found.names
+    ]
+    at = next(i for i, part in enumerate(report.parts) if _is_headed(part, "Known values"))
+    stages = Section("Stages", [Table(head, rows, numbers=(1, 2))])
+    return replace(report, parts=[*report.parts[:at], stages, *report.parts[at:]])
+
+
+def _is_headed(part: Part, heading: str) -> bool:
+    return isinstance(part, Section) and part.heading == heading
+
+
+def estimate_report(
+    estimate: Estimate,
+    records: Sequence[RecordView] | None = None,
+    remarks: Sequence[Part] = (),
+) -> Document:
     """The estimate, with measured against simulated where there are records.
 
     `records` hold the simulation at the estimate as `baseline`, and no `extended`; by default they
-    are the estimate's own.
+    are the estimate's own. `remarks` on the simulation stand before its figure.
     """
     e = estimate
     records = e.records if records is None else records
@@ -40,7 +97,7 @@ def estimate_report(estimate: Estimate, records: Sequence[RecordView] | None = N
         [
             Section("", [banner, notice((), (*e.suspects, *e.warnings)), advice], is_open=True),
             Section("Parameters", [parameter_table({"estimate": e}, unknown)], is_open=True),
-            Section("Measured against simulated", [figure("simulation")], is_open=True),
+            Section("Measured against simulated", [*remarks, figure("simulation")], is_open=True),
             Section("Fit", [_fit_table(e)]),
             Section("Intervals", [figure("parameters"), *assumed]),
             Section("Known values", [parameter_table({"estimate": e}, sorted(known))]),
