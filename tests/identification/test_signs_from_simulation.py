@@ -239,12 +239,12 @@ def test_a_rudder_at_rest_is_named_before_any_sign() -> None:
 
 @pytest.mark.slow
 def test_a_rudder_stuck_at_its_limit_is_told_with_the_estimate_and_the_diagnosis(tmp_path) -> None:
-    """The calibrated ship's rudder turns for 5 s and stands for the other 5."""
-    (e,) = ship.experiments(("calibration",), duration=10.0)
+    """The calibrated ship's rudder turns for 3 s and stands for the other 3."""
+    (e,) = ship.experiments(("calibration",), duration=6.0)
     delta = np.array(e.record["delta"])
-    delta[250:] = 1.01 * np.abs(delta).max()
+    delta[150:] = 1.01 * np.abs(delta).max()
     stuck = casid.Experiment(e.record.with_channel("delta", delta, "rad"), e.known, e.name)
-    told = "calibration: delta: 250 equal samples at the maximum"
+    told = "calibration: delta: 150 equal samples at the maximum"
     found = casid.identify(BUILT, [stuck], settings=ONE)
     assert any(w.startswith(told) for w in found.warnings)
     assert any("cut it off with a window" in w for w in found.warnings)

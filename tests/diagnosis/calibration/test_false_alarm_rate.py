@@ -244,8 +244,8 @@ def test_null_records_keep_gaps_lengths_and_what_is_held_out():
 
 @pytest.mark.slow
 def test_the_diagnosis_itself_is_calibrated_on_a_record_of_the_pendulum():
-    """20 null records of 15 s: P(more than 4 alarms | 5 %) = 0.3 % (binomial)."""
-    split, at, fit = pieces(pendulum.problem, pendulum.simulate(duration=15.0))
+    """20 null records of 8 s: P(more than 4 alarms | 5 %) = 0.3 % (binomial)."""
+    split, at, fit = pieces(pendulum.problem, pendulum.simulate(duration=8.0))
     search = functools.partial(diagnose, starts=1, max_causes=1, advise=False)
     found = calibrate(pendulum.problem, Null(split, at, fit), diagnose_null=search, runs=20)
     assert found.runs == 20

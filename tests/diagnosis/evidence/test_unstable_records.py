@@ -169,7 +169,7 @@ def test_what_an_unstable_plant_lacks_is_named_with_its_size():
 @pytest.mark.slow
 def test_a_constant_torque_on_an_unstable_plant_is_named_with_its_size():
     """It shifts the angle at which the controller rests, at whatever angle is wanted."""
-    found = diagnosed(upright(offset=0.05, seed=1))
+    found = diagnosed(upright(offset=0.05, seed=1, N=1000))
     (cause,) = found.causes
     assert (cause.kind, cause.where) == ("offset", "torque")
     (torque,) = cause.parameters

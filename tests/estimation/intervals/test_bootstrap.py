@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS
+from casid.estimation.intervals import bootstrap, choice
+from casid.estimation.intervals.thresholds import BootstrapRuns
 from casid.identification.identify import identify
 from tests.estimation.intervals.test_profile import (
     gain_and_offset,
@@ -15,13 +16,15 @@ from tests.estimation.intervals.test_profile import (
 )
 
 
-def test_of_a_linear_model_they_are_those_of_the_standard_error():
-    """An end of 2.5 % from n draws scatters by sqrt(0.025 0.975 / n) / phi(1.96) = 0.134 errors.
+def test_of_a_linear_model_they_are_those_of_the_standard_error(monkeypatch):
+    """An end of 2.5 % from n draws scatters by sqrt(0.025 0.975 / n) / phi(1.96) = 0.22 errors.
 
     The correction of the bias adds that of the median, sqrt(pi / 2n); four of these are allowed.
     """
+    n = 150
+    for module in (bootstrap, choice):
+        monkeypatch.setattr(module, "BOOTSTRAP_RUNS", BootstrapRuns(runs=n))
     found = identify(gain_and_offset(), linear_record(colour=0.8), intervals="bootstrap")
-    n = BOOTSTRAP_RUNS.runs
     scatter = np.hypot(np.sqrt(0.025 * 0.975 / n) / 0.0584, 2 * np.sqrt(np.pi / 2 / n))
     for p in found.parameters:
         assert p.interval_kind == "bootstrap"
