@@ -95,8 +95,10 @@ def test_the_readme_speaks_of_files_that_exist() -> None:
     text = README.read_text(encoding="utf-8")
     for path in re.findall(r"\b(?:problems|analysis|docs)/[\w./-]+\w", text):
         assert (ROOT / path).exists(), path
-    for path in re.findall(r"\]\((?!https?:)([^)]+)\)", text):
+    for path in re.findall(r"\]\((?!https?:|#)([^)]+)\)", text):
         assert (ROOT / path).exists(), path
+    headings = {h.lower().replace(" ", "-") for h in re.findall(r"^#+ (.*)$", text, re.MULTILINE)}
+    assert set(re.findall(r"\]\(#([^)]+)\)", text)) <= headings
 
 
 def write() -> None:

@@ -38,10 +38,10 @@ from casid.errors import DataError
 def investigate(problem: str, **given: Any) -> None:
     """Diagnose the records at hand and, where causes are tied, design the record that decides.
 
-    Record what it designs, and run it again with all records, the new one behind the others, until
-    no tie is left. Without DATA the problem simulates its own example. Writes input.csv (what a
-    signal generator plays; only where an experiment is to be recorded), investigation.json and
-    report.html, and a folder each for the diagnosis and the design.
+    Record the designed experiment, and run the command again with all records, the new one last,
+    until the causes are separated. Without DATA the problem simulates its own example. Writes
+    input.csv (for a signal generator; only where an experiment is to be recorded),
+    investigation.json and report.html, and a folder each for the diagnosis and the design.
 
     Example: casid investigate store.py first.csv --limit u=-3:3 --duration 12 --noise y=0.01
 

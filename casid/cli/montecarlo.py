@@ -72,9 +72,10 @@ from casid.cli.terminal import quiet_stdout, study_folder, workers
 def montecarlo(problem: str, runs: int, method: str, duration: float | None, **given: Any) -> None:
     """Simulate a problem many times and compare its estimates with the known truth.
 
-    Bias, spread and coverage of the intervals, each with its own uncertainty. The problem has to
-    simulate itself: `casid.Problem(..., simulate=, truth=)`. An interrupted study continues with
-    the same command. Writes results.parquet, montecarlo.json and report.html.
+    Bias and standard deviation of the estimates, and coverage of the intervals, each with its
+    uncertainty. The problem has to simulate itself: `casid.Problem(..., simulate=, truth=)`. An
+    interrupted study continues with the same command. Writes results.parquet, montecarlo.json and
+    report.html.
 
     Example: casid montecarlo problems/roll_decay.py --runs 1000 --out study
     """

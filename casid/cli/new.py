@@ -25,7 +25,7 @@ NAMES = "mass-spring-damper, dc-motor, thermal, tank, vehicle, free"
     default="free",
     show_default=True,
     metavar="TEMPLATE",
-    help=f"What the system is: {NAMES} (a lag of its own for every output).",
+    help=f"What the system is: {NAMES} (a first-order lag for every output).",
 )
 @map_option("Column of a signal of the template, and its unit; t=COLUMN names the time stamps.")
 @click.option(

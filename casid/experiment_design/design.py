@@ -396,7 +396,8 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
         notes.append(f"{effect.kind} in {effect.key[1]} is taken with {values} (SI).")
     if not best.iterations and search.starts != 0:
         notes.append(
-            "The program found nothing better than the best standard input, which this is."
+            "The optimisation found no better input than the best standard input, which is the "
+            "result."
         )
     notes.append(
         "The noise of the outputs is taken as white and independent; noise of measured inputs and "

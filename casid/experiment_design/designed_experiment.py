@@ -301,7 +301,7 @@ class DesignedExperiment(Presented, Saved):
             return f"{text} of the best standard input under the same limits."
         if self.gain <= 1.0:
             return text + "; so does the best standard input."
-        return f"{text}; the best standard input takes {self.gain:.3g} such records for as much."
+        return f"{text}; the best standard input needs {self.gain:.3g} such records for the same."
 
     @property
     def _is_standard(self) -> bool:
@@ -316,9 +316,9 @@ class DesignedExperiment(Presented, Saved):
             wanted = energy_for_detection(DESIGN.power, self.aim.false_alarm_rate)
         least = min(o.energy for o in self.outcomes)
         if least <= 0:
-            return "nothing shows it"
+            return "no record under these limits shows the difference"
         longer = time_text(self.duration * wanted / least)
-        return f"{100 * DESIGN.power:.3g} % take {longer} of it at most, or wider limits"
+        return f"{100 * DESIGN.power:.3g} % needs at most {longer} of it, or wider limits"
 
     def write_csv(self, path: str | Path, *, force: bool = False) -> Path:
         """Write time, designed inputs and predicted outputs in declared units; returns the path.

@@ -254,7 +254,7 @@ def test_a_record_that_is_too_short_is_given_the_time_that_is_enough() -> None:
     assert not found.is_enough
     least = min(o.energy for o in found.outcomes)
     enough = 6.0 * (2 * 1.6449) ** 2 / least
-    assert f"95 % take {enough:.4g} s" in found.sentence
+    assert f"95 % needs at most {enough:.4g} s" in found.sentence
     assert energy_for_detection(0.9, 0.05) == pytest.approx(10.507, abs=0.01)
 
 

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+import casid
+from casid.report.document import Document, Figure, Section
 from casid.report.figures.diagnosis import diagnosis_figures
+from casid.report.html.page import html_page
 from problems import ship
 from tests.report.golden_results import assessment, monte_carlo
 from tests.support import samples
@@ -186,3 +189,20 @@ def test_the_screenshot_is_not_blank(rich, tmp_path):
     browse(path, tmp_path, "--window-size=1280,2000", f"--screenshot={picture}")
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert picture.stat().st_size > 50_000  # an empty page of this size is a few kB
+
+
+@in_browser
+def test_what_a_network_says_is_legible_in_the_dark(tmp_path):
+    """The names at its arrows are in the ink of the page, and so is what is behind them."""
+    q = casid.Rational.shift(Ts=1.0)
+    plant = casid.dynamic_network({("y", "u"): 0.5 / (q - 0.6)}, excitations={"u": 1.0})
+    drawn = Figure("network", casid.network_figure(plant))
+    path = tmp_path / "page.html"
+    document = Document("network", [Section("Network", [drawn], is_open=True)])
+    path.write_text(html_page(document), encoding="utf-8")
+    dark = "--blink-settings=preferredColorScheme=0"
+    for arguments, behind in (((), "rgb(255, 255, 255)"), ((dark,), "rgb(20, 24, 29)")):
+        dom, console = browse(path, tmp_path, "--window-size=1280,2000", "--dump-dom", *arguments)
+        assert console == []
+        names = re.findall(r'<rect class="bg"[^>]*style="[^"]*fill: ([^;]*);[^"]*"', dom)
+        assert behind in names

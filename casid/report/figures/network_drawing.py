@@ -112,6 +112,10 @@ def network_figure(
     return figure
 
 
+_ABOVE = 20
+"""Pixels from the middle of a node to the name above it."""
+
+
 def _layout(network: Network) -> dict[Node, Place]:
     import networkx as nx
 
@@ -171,7 +175,8 @@ def _notes(network: Network, places: dict[Node, Place]) -> list[dict[str, Any]]:
             x, y = (0.62 * a + 0.38 * b for a, b in zip(start, end, strict=True))
             names.append(_name(x, y, edge_label((to, source)), 11))
     names += [
-        _name(places[n][0], places[n][1] + 0.15, f"delta_{n}", 12) for n in network.excitations
+        {**_name(*places[n], f"delta_{n}", 12), "yanchor": "bottom", "yshift": _ABOVE}
+        for n in network.excitations
     ]
     return arrows + names
 

@@ -27,9 +27,12 @@ DRAW = """
   var coarse = window.matchMedia("(pointer: coarse)").matches;
   var narrowBelow = 620;
   var light = { ink: "#222222", grid: "#e8e8e8", fine: "#f3f3f3", zero: "#bdbdbd",
-    icon: "#767676" };
+    icon: "#767676",
+    under: "rgba(255,255,255,0.8)" };
   var dark = { ink: "#d5dbe3", grid: "#343c47", fine: "#262c35", zero: "#59636f",
-    icon: "#8b96a3" };
+    icon: "#8b96a3",
+    under: "rgba(20,24,29,0.8)" };
+  var inks = ["black", light.ink, dark.ink];
   var drawn = [];
   function palette() {
     var theme = document.documentElement.dataset.theme;
@@ -48,18 +51,21 @@ DRAW = """
       layout[key].zerolinecolor = look.zero;
       if (layout[key].minor) { layout[key].minor.gridcolor = look.fine; }
     });
-    function label(shape) { if (shape.label) { shape.label.font.color = look.ink; } }
+    function ink(part) {
+      if (part && inks.indexOf(part.color) >= 0) { part.color = look.ink; }
+    }
+    function label(shape) {
+      if (shape.label) { shape.label.font.color = look.ink; }
+      ink(shape.line);
+    }
     (layout.shapes || []).forEach(label);
+    (layout.annotations || []).forEach(function (note) {
+      if (note.bgcolor) { note.bgcolor = look.under; }
+    });
     (layout.meta.choices || []).forEach(function (choice) {
       (choice.args[1].shapes || []).forEach(label);
     });
-    data.forEach(function (trace) {
-      [trace.line, trace.marker].forEach(function (part) {
-        if (part && (part.color === light.ink || part.color === dark.ink)) {
-          part.color = look.ink;
-        }
-      });
-    });
+    data.forEach(function (trace) { ink(trace.line); ink(trace.marker); });
   }
   function adapt(layout, wide, width) {
     var meta = wide.meta, n = meta.panels;
