@@ -51,8 +51,8 @@ class Adopted:
     is_alarm : True if it was the first, significant by itself under noise that is known.
     share : of the misfit that all adopted effects removed.
     near : what explains nearly as much, where misfit passed for noise.
-    rounding : variable -> standard deviation that not knowing how sharply dry friction reverses
-        gives to its estimate.
+    rounding : variable -> what a standard deviation of the speed within which dry friction
+        reverses moves its estimate by.
     """
 
     candidate: Candidate

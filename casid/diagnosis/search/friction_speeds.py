@@ -101,7 +101,7 @@ class Likeliest:
     Attributes
     ----------
     doublings : base-two logarithm of it, in units of the one before.
-    rounding : variable -> standard deviation that not knowing the speed gives to its estimate.
+    rounding : variable -> what a standard deviation of the speed moves its estimate by.
     """
 
     doublings: float
@@ -151,7 +151,7 @@ def _rise(old: Fit, new: Fit) -> float:
 
 
 def _of_rounding(fit: Fit, other: Fit, fall: float) -> dict[str, float]:
-    """Standard deviations that not knowing the smoothing speed gives to the estimates.
+    """What the smoothing speed, by its own standard deviation, moves the estimates by.
 
     By how much half or twice the speed moves them: the estimates are linear in the speed. Where the
     likelihood falls, the logarithm of the speed is as uncertain as that says; where it does not,
@@ -159,7 +159,7 @@ def _of_rounding(fit: Fit, other: Fit, fall: float) -> dict[str, float]:
     """
     known_to = min(1 / max(2 * fall, TINY), 4 / 3)
     return {
-        name: float(np.sqrt(known_to)) * abs(other.values[name] - value)
+        name: float(np.sqrt(known_to)) * (other.values[name] - value)
         for name, value in fit.values.items()
         if name in other.values
     }

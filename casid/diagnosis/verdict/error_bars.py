@@ -24,7 +24,8 @@ def bars_of(
     Parameters
     ----------
     corrected : what became of the bias of noise on measured inputs, where it was looked at.
-    roundings : of every cause, variable -> standard deviation.
+    roundings : of every cause, variable -> what a standard deviation of how sharply dry friction
+        reverses moves its estimate by.
     """
     if fit.criterion.whiten is not None:
         return None
@@ -39,5 +40,5 @@ def bars_of(
         covariance, _ = sandwich(fit.solution.hessian, fit.criterion.scores(fit.x), free)
     for rounding in roundings:
         added = free * np.array([rounding.get(n, 0.0) for n in names])
-        covariance = covariance + np.diag(added**2)
+        covariance = covariance + np.outer(added, added)
     return replace(bars, covariance=covariance, assumes=bars.assumes + ROUNDED)
