@@ -115,11 +115,10 @@ class EstimateBuilder:
         """
         names = tuple(v.name for v in criterion.variables)
         scale = np.array([v.scale for v in criterion.variables])
-        free = np.array([not bound_of(solution, n) for n in names])
         lags = 0
         if covariance is None:
             scores, tied = criterion.scores(solution.x), solution.constraint_jacobian
-            covariance, lags = sandwich(solution.hessian, scores, free, tied)
+            covariance, lags = sandwich(solution.hessian, scores, solution.is_free, tied)
         rank = local_rank(solution.hessian, solution.x, names, scale)
         undetermined = {n for direction in rank.null for n in direction}
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()

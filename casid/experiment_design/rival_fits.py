@@ -80,8 +80,8 @@ def fitted_to(
             criterion, solver=Solver("ipopt", 60), check_rank=False, throw=False, retry="none"
         )
         found = {n: v for n, v in fit.values.items() if n in rival.free}
-        at_bound = {*fit.solution.at_lower, *fit.solution.at_upper}
-        return 2 * float(fit.solution.value), rival.at(found, [n for n in found if n in at_bound])
+        held = [n for n in found if n in fit.solution.active]
+        return 2 * float(fit.solution.value), rival.at(found, held)
     return None
 
 

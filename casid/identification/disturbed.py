@@ -196,8 +196,8 @@ def _estimation(problem: Problem, found: Prediction, settings: FitSettings) -> E
     """The estimate as the search for its intervals takes it."""
     criterion, solution, estimate = found.criterion, found.solution, found.estimate
     rows = (*estimate.parameters, *estimate.initial_states)
-    at_bound = {*solution.at_lower, *solution.at_upper}
-    undetermined = [p.name for p in rows if p.std_error is None and p.name not in at_bound]
+    held = solution.active
+    undetermined = [p.name for p in rows if p.std_error is None and p.name not in held]
     scores = criterion.scores(solution.x)
     solver = as_solver(settings.solver)
     if solver.name == "ipopt":

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from casid.arrays import Array
 from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.residual_spectrum import coloured_covariance
@@ -25,9 +23,7 @@ def error_bars(found: Corrected) -> ErrorBars:
     if found.is_removed:
         return ErrorBars(CORRECTED, found.covariance, found.whiten)
     fit, assumes = found.fit, ASSUMES + BIASED if found.why_not else ASSUMES
-    held = {*fit.solution.at_lower, *fit.solution.at_upper}
-    free = np.array([name not in held for name in fit.criterion.names])
-    coloured = covariance_under_colour(fit, free)
+    coloured = covariance_under_colour(fit, fit.solution.is_free)
     if coloured is None:
         return ErrorBars(assumes)
     orders = " and ".join(str(order) for order in coloured[1])

@@ -257,8 +257,8 @@ def _estimation(
 ) -> Estimation:
     """The estimate as the search for its intervals takes it."""
     rows = (*estimate.parameters, *estimate.initial_states)
-    at_bound = {*found.fit.solution.at_lower, *found.fit.solution.at_upper}
-    undetermined = [p.name for p in rows if p.std_error is None and p.name not in at_bound]
+    held = found.fit.solution.active
+    undetermined = [p.name for p in rows if p.std_error is None and p.name not in held]
 
     @cache
     def covariance(free: tuple[bool, ...]) -> Array:

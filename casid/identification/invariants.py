@@ -275,8 +275,8 @@ def _point(model: Model, experiments: Sequence[Experiment]) -> dict[str, float]:
         )
     except CasidError:
         return {}
-    edge = {*fit.solution.at_lower, *fit.solution.at_upper}
-    return {n: fit.values[n] for n in model.parameters if n in fit.values and n not in edge}
+    held = fit.solution.active
+    return {n: fit.values[n] for n in model.parameters if n in fit.values and n not in held}
 
 
 def _started(model: Model, start: Mapping[str, float]) -> Model:

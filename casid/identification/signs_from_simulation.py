@@ -107,7 +107,7 @@ def is_poor(fit: Fit) -> bool:
     if not fit.solution.is_converged:
         return True
     at_bound = any(
-        v.name in {*fit.solution.at_lower, *fit.solution.at_upper}
+        v.name in fit.solution.active
         for v in fit.criterion.variables
         if v.source in fit.criterion.model.parameters
     )

@@ -85,7 +85,7 @@ class Refinement:
             if len(kept) == 1 or c.effect.test != "score":
                 continue
             # At a bound, and where parameters exchange for each other, none is known by itself.
-            is_at_bound = first in (*fit.solution.at_lower, *fit.solution.at_upper)
+            is_at_bound = first in fit.solution.active
             distance = abs(wald(fit, first, null_values(c)[first]))
             if not is_at_bound and distance > ROUNDS.backward_wald:
                 continue

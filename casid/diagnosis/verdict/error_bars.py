@@ -34,11 +34,10 @@ def bars_of(
     roundings = [r for r in roundings if r]
     if not roundings:
         return bars
-    names, covariance = fit.criterion.names, bars.covariance
-    free = np.array([n not in (*fit.solution.at_lower, *fit.solution.at_upper) for n in names])
+    covariance, free = bars.covariance, fit.solution.is_free
     if covariance is None:
         covariance, _ = sandwich(fit.solution.hessian, fit.criterion.scores(fit.x), free)
     for rounding in roundings:
-        added = free * np.array([rounding.get(n, 0.0) for n in names])
+        added = free * np.array([rounding.get(n, 0.0) for n in fit.criterion.names])
         covariance = covariance + np.outer(added, added)
     return replace(bars, covariance=covariance, assumes=bars.assumes + ROUNDED)

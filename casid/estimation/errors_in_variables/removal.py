@@ -121,8 +121,7 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
         return Corrected(fit)
     if criterion.segments > 1 or solution.constraint_jacobian.size:
         return Corrected(fit, why_not="it is fitted in segments, or under constraints")
-    held = {*solution.at_lower, *solution.at_upper}
-    free = np.array([name not in held for name in criterion.names])
+    free = solution.is_free
     found = input_noise(criterion, fit.x, known)
     covariance, _ = sandwich(solution.hessian, criterion.scores(fit.x), free)
     bias = possible_bias(fit, found.most, covariance, free, seed)

@@ -108,8 +108,7 @@ class _Draw:
         self.output_sd = found.output_sd if found.is_removed else None
         n = range(len(self.criterion.data))
         self.clean = [self.criterion.simulated(self.x, e) for e in n]
-        held = {*found.fit.solution.at_lower, *found.fit.solution.at_upper}
-        free = np.array([name not in held for name in self.criterion.names])
+        free = found.fit.solution.is_free
         self.models = None
         if self.output_sd is None:
             self.models = residual_autoregressions(found.fit, free)

@@ -252,7 +252,7 @@ def _keep(chosen: Chosen, name: str, interval: ProfileInterval, fit: Minimum) ->
 
 
 def _free_names(fit: Minimum) -> list[str]:
-    held = {*fit.solution.at_lower, *fit.solution.at_upper}
+    held = fit.solution.active
     return [name for name in fit.criterion.names if name not in held]
 
 

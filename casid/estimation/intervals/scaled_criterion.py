@@ -134,8 +134,7 @@ class ScaledCriterion:
             self.lower = np.maximum(self.lower, np.minimum(self.x, self.x - self._farthest))
             self.upper = np.minimum(self.upper, np.maximum(self.x, self.x + self._farthest))
         solution = fit.solution
-        held = {*solution.at_lower, *solution.at_upper}
-        self.free = np.array([name not in held for name in self.names])
+        self.free = solution.is_free
         at = fit.criterion.evaluate(self.x)
         slope = np.where(self.free, at.gradient, 0.0) if is_root else np.zeros(len(self.x))
         self.criterion = Tilted(fit.criterion, self.x, slope)

@@ -141,7 +141,7 @@ class _Linear:
 
     def add(self, st: StageFit, columns: Sequence[slice]) -> None:
         """The parameters of one more stage, its parts' noise at `columns`."""
-        held = {*st.solution.at_lower, *st.solution.at_upper}
+        held = st.solution.active
         free = [f for f in st.free if f not in held]
         normal = np.zeros((len(free), len(free)))
         forced, forced_alone = (np.zeros((len(free), self.size)) for _ in range(2))

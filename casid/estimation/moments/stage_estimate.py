@@ -159,8 +159,8 @@ def _undetermined(st: StageFit, rank: LocalRank) -> list[str]:
 
     A zero at its bound has no relative size.
     """
-    bound = {*st.solution.at_lower, *st.solution.at_upper}
-    free = {f for f in st.free if f not in bound}
+    held = st.solution.active
+    free = {f for f in st.free if f not in held}
     lost = any(free & set(direction) for direction in rank.null)
     return [describe_null(rank)] if lost and all(e.is_least_squares for e in st.equations) else []
 

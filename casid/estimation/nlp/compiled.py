@@ -158,8 +158,7 @@ class Compiled:
         """
         lower, upper, low, high = self._box
         lam = np.zeros(len(low)) if lam is None else lam
-        held = {*solution.at_lower, *solution.at_upper}
-        free = np.array([name not in held for name in self.names])
+        free = solution.is_free
         active = np.flatnonzero((low == high) | (lam != 0))
         limit = np.where(lam > 0, high, low)[active]
         x, last = solution.x, np.inf

@@ -104,6 +104,12 @@ class Solution(Presented):
         held = {n: [s for s, names in sides.items() if n in names] for n in self.names}
         return {name: " and ".join(found) for name, found in held.items() if found}
 
+    @property
+    def is_free(self) -> Array:
+        """(n,) bool, False for variables that a bound holds."""
+        held = self.active
+        return np.array([name not in held for name in self.names], dtype=bool)
+
     def __getitem__(self, name: str) -> float:
         if name not in self.names:
             near = difflib.SequenceMatcher(b=str(name))

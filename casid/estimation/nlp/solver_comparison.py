@@ -253,8 +253,7 @@ def _multipliers(program: Program, solution: Solution) -> Array:
     size = np.maximum(np.abs(solution.x), program.scale)
     near = 1e-6 * np.maximum(np.abs(at.jacobian) @ size, TINY)
     at_low, at_high = np.abs(at.constraints - low) < near, np.abs(at.constraints - high) < near
-    held = {*solution.at_lower, *solution.at_upper}
-    free = np.array([name not in held for name in solution.names])
+    free = solution.is_free
     lam = np.zeros(len(low))
     active = np.flatnonzero((low == high) | at_low | at_high)
     if len(active) and free.any():

@@ -29,8 +29,8 @@ def disagreements(fit: Fit) -> list[str]:
     """
     c = fit.criterion
     shared = [i for i, v in enumerate(c.variables) if v.name in c.free and v.name not in c.own]
-    held = {*fit.solution.at_lower, *fit.solution.at_upper}
-    shared = [i for i in shared if c.names[i] not in held]
+    is_free = fit.solution.is_free
+    shared = [i for i in shared if is_free[i]]
     if len(c.data) < 2 or c.segments > 1 or not shared:
         return []
     apart = [_own_step(fit, e) for e in range(len(c.data))]
@@ -59,8 +59,7 @@ def _own_step(fit: Fit, e: int) -> dict[int, tuple[float, float]]:
     hessian = flat.T @ flat
     if not (np.all(np.isfinite(hessian)) and np.all(np.isfinite(residual))):
         return {}
-    held = np.array([v in (*fit.solution.at_lower, *fit.solution.at_upper) for v in c.names])
-    free = (np.diag(hessian) > 0) & ~held
+    free = (np.diag(hessian) > 0) & fit.solution.is_free
     index = np.flatnonzero(free)
     part = hessian[np.ix_(index, index)]
     scale = np.array([v.scale for v in c.variables])
