@@ -97,14 +97,15 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
             lambda: record_specific(baseline.weighing, adopted, whole, noise, split, settings.fit),
         )
         specific, extended, at = apart or (specific, extended, at)
-    corrected = _corrected(search, problem, extended or negated_fit or fit, settings)
+    extended = extended or negated_fit
+    corrected = _corrected(search, problem, extended or fit, settings)
     if extended is not None and corrected is not None:
         extended = corrected.fit
     return Findings(
         baseline,
         search,
         at,
-        extended or negated_fit,
+        extended,
         tuple(adopted),
         specific,
         found.remainders,

@@ -29,8 +29,7 @@ def bars_of(
     """
     if fit.criterion.whiten is not None:
         return None
-    found = corrected or Corrected(fit, why_not="it was not looked at")
-    bars = error_bars(replace(found, fit=fit))
+    bars = error_bars(corrected or Corrected(fit, why_not="it was not looked at"))
     roundings = [r for r in roundings if r]
     if not roundings:
         return bars

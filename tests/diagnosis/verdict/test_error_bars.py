@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import casid
@@ -36,3 +37,18 @@ def test_the_size_of_a_cause_is_without_the_bias_of_the_inputs_noise():
         row = next(p for p in found.extended.parameters if p.name == name)
         assert row.std_error is not None
         assert row.value == pytest.approx(true, abs=3 * row.std_error)
+
+
+@pytest.mark.slow
+def test_a_channel_with_the_wrong_sign_leaves_the_estimates_and_their_errors_as_they_are():
+    """Values and errors are both those of the root, also where the sign is all that is wrong."""
+    record = pendulum.simulate(duration=20.0, seed=2)
+    turned = record.with_channel("gyro", -np.array(record["gyro"]), record.units["gyro"])
+    found = casid.diagnose(pendulum.problem, turned, advise=False)
+    alone = casid.identify(pendulum.problem, record, hold_out=0.3)
+    assert [(c.kind, c.where) for c in found.causes] == [("sensor_scale", "gyro")]
+    assert found.extended is not None
+    for name in ("k", "d", "I_x"):
+        mine, its = found.extended.parameter(name), alone.parameter(name)
+        assert mine.std_error == pytest.approx(its.std_error, rel=1e-6)
+        assert mine.value == pytest.approx(its.value, rel=1e-6)
