@@ -69,14 +69,17 @@ def beam() -> casid.Problem:
     return casid.Problem("beam", m)
 
 
-def test_an_input_that_acts_in_a_second_balance_is_a_further_input_there() -> None:
+@pytest.mark.parametrize(("into_pitch", "into_yaw"), [(0.06, 0.0), (0.0, 0.06)])
+def test_an_input_that_acts_in_a_second_balance_is_a_further_input_there(
+    into_pitch: float, into_yaw: float
+) -> None:
     rng = np.random.default_rng(3)
     u = np.column_stack([held(rng, -1.0, 1.0, 40, 1500), held(rng, -1.0, 1.0, 40, 1500)])
 
     def slope(x: Array, u: Array) -> Array:
         theta, q, psi, r = x
-        pitch = 0.45 * u[0] + 0.06 * u[1] - 1.4 * np.sin(theta) - 0.06 * q
-        yaw = 0.3 * u[1] - 0.05 * r - 0.25 * psi
+        pitch = 0.45 * u[0] + into_pitch * u[1] - 1.4 * np.sin(theta) - 0.06 * q
+        yaw = 0.3 * u[1] + into_yaw * u[0] - 0.05 * r - 0.25 * psi
         return np.array([q, pitch / 0.09, r, yaw / 0.05])
 
     x = integrated(slope, np.zeros(4), u, 0.02)
@@ -88,8 +91,9 @@ def test_an_input_that_acts_in_a_second_balance_is_a_further_input_there() -> No
         Ts=0.02,
     )
     found = casid.diagnose(beam(), record, advise=False)
-    only_cause(found, "extra_input", "tail", 0.06)
-    assert "pitch balance, too" in found.causes[0].sentence
+    only_cause(found, "extra_input", "tail" if into_pitch else "main", 0.06)
+    balance = "pitch" if into_pitch else "yaw"
+    assert f"{balance} balance, too" in found.causes[0].sentence
 
 
 # -- a receiver of air: a compressor fills it, a valve empties it ---------------------------------

@@ -20,6 +20,7 @@ _CONTACT = f"{_TESTS}/test_contact_effects.py"
 _FRICTION = f"{_TESTS}/test_friction_effects.py"
 _SCHEDULED = f"{_TESTS}/test_scheduled_parameter.py"
 _STRUCTURE = f"{_TESTS}/test_structure_effects.py"
+_FLOW_LAWS = f"{_TESTS}/test_flow_laws.py"
 _UNNAMED = f"{_TESTS}/test_unnamed_effects.py"
 
 
@@ -94,7 +95,7 @@ class Smoothing:
 
     speed: float = _is(0.03, "of the rms rate, below which dry friction is rounded", _BALANCES)
     width: float = _is(0.01, "of the rms position, to which the corners of play extend", _BALANCES)
-    power: float = _is(1e-3, "of the typical level, below which a power law is rounded", _UNNAMED)
+    power: float = _is(1e-3, "of the typical level, below which a power law is rounded", _FLOW_LAWS)
     motion: float = _is(4.0, "rms values that the largest motion is taken as", _CATALOGUE)
     above_zero: float = _is(
         1e-3, "of its largest value, by which a state that keeps its sign exceeds zero", _UNNAMED
@@ -172,8 +173,8 @@ class UnnamedEffects:
     priority: int = _is(
         3, "of two effects that do the same, the lower is reported: the named one", _UNNAMED
     )
-    lowest_power: float = _is(0.1, "lower bound of the exponent of a power law", _UNNAMED)
-    highest_power: float = _is(4.0, "upper bound of the exponent of a power law", _UNNAMED)
+    lowest_power: float = _is(0.1, "lower bound of the exponent of a power law", _FLOW_LAWS)
+    highest_power: float = _is(4.0, "upper bound of the exponent of a power law", _FLOW_LAWS)
 
 
 PARAMETER_JUMPS = ParameterJumps()

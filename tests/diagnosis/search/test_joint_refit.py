@@ -59,8 +59,9 @@ def roll_axis() -> casid.Problem:
     return casid.Problem("roll axis", m)
 
 
-def test_a_large_drag_is_named_and_sized_from_where_the_user_would_start() -> None:
-    found = casid.diagnose(roll_axis(), flight(drag=0.02), advise=False)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_large_drag_is_named_and_sized_from_where_the_user_would_start(seed: int) -> None:
+    found = casid.diagnose(roll_axis(), flight(drag=0.02, seed=seed), advise=False)
     assert [(c.kind, c.where) for c in found.causes] == [("quadratic_damping", "roll")]
     size = found.causes[0].parameters[0]
     assert size.std_error is not None

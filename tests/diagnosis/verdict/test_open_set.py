@@ -119,7 +119,7 @@ def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(kind, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2])
+@pytest.mark.parametrize("seed", [2, 3])
 def test_a_knock_is_told_from_a_force_that_sets_in_by_what_it_leaves(seed):
     """Half a sine of 0.2 s: both start the pendulum ringing, at instants a quarter period apart.
 
