@@ -84,14 +84,11 @@ class Refinement:
             first = c.names[0]
             if len(kept) == 1 or c.effect.test != "score":
                 continue
-            # At a bound, and where parameters exchange for each other, none is known by itself.
-            is_at_bound = first in fit.solution.active
-            distance = abs(wald(fit, first, null_values(c)[first]))
-            if not is_at_bound and distance > ROUNDS.backward_wald:
+            if abs(wald(fit, first, null_values(c)[first])) > ROUNDS.backward_wald:
                 continue
             without = self._without(fit, c)
-            if (is_at_bound or c.effect.cost > 1) and self._is_missed(fit, without):
-                continue
+            if c.effect.cost > 1 and self._is_missed(fit, without):
+                continue  # its parameters exchange for each other, and none is known by itself
             refused.append((c, "the other causes together leave nothing for it to explain"))
             kept.remove(a)
             fit = without
@@ -270,17 +267,10 @@ class Refinement:
         return placed, whole_fit(model, self.split, settings, self.units, values)
 
     def _without(self, fit: Fit, c: Candidate) -> Fit:
-        """The model fitted again without one effect, from what it was beside it and before.
-
-        What an effect exchanges for is far from where it would be alone.
-        """
+        """The model fitted again without one effect."""
         model = taken_out(fit.criterion.model, null_values(c))
         values = {k: v for k, v in fit.values.items() if k not in c.names}
-        fits = [
-            whole_fit(model, self.split, self.settings, self.units, start)
-            for start in (values, {**values, **self.start.fit.values})
-        ]
-        return min(fits, key=lambda found: float(found.solution.value))
+        return whole_fit(model, self.split, self.settings, self.units, values)
 
     def _lean(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
         """The model built anew with the effects that are left: no term stays at its null value."""
