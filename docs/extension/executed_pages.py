@@ -31,11 +31,19 @@ _SCRIPTS = ("plotly.js", "figures.js")
 
 def setup(app: Any) -> dict[str, bool]:
     """Connect the extension."""
+    app.connect("builder-inited", _find_measurements)
     app.connect("builder-inited", _write_scripts)
     app.connect("source-read", _run_page)
     app.connect("html-page-context", _add_scripts)
     # Worker processes of a page's own code do not end with a process that was forked to read it.
     return {"parallel_read_safe": False, "parallel_write_safe": True}
+
+
+def _find_measurements(app: Any) -> None:
+    """`CASID_SHARED` is by default the folder beside the checkout: pages run in another one."""
+    shared = Path(app.srcdir).parents[1] / "shared"
+    if shared.exists():
+        os.environ.setdefault("CASID_SHARED", str(shared))
 
 
 def _write_scripts(app: Any) -> None:
@@ -66,9 +74,7 @@ def _run_page(app: Any, name: str, source: list[str]) -> None:
 
 @contextlib.contextmanager
 def _scratch(root: Path) -> Iterator[None]:
-    """A folder to run in; `CASID_SHARED` is by default the folder beside the checkout."""
-    if (root.parent / "shared").exists():
-        os.environ.setdefault("CASID_SHARED", str(root.parent / "shared"))
+    """A folder to run in."""
     with tempfile.TemporaryDirectory() as folder:
         if (root / "problems").exists():
             shutil.copytree(root / "problems", Path(folder) / "problems")

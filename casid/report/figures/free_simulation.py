@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.errors import SolveError
 from casid.estimation.estimate import Estimate, RecordView
@@ -39,13 +38,13 @@ def _view(fitted: FittedModel, experiment: Experiment) -> RecordView:
     record, model = experiment.record, fitted.model
     outputs = [n for n in model.outputs if n in record.names]
     simulated = fitted.predict(experiment, None)
-    y = _columns(simulated[n] for n in outputs)
+    y = np.column_stack([simulated[n] for n in outputs])
     bad = np.flatnonzero(~np.isfinite(y).all(axis=1))
     if bad.size:
         raise SolveError(
             f"{experiment.name}: the simulation diverges at t = {record.t[bad[0]]:g} s"
         )
-    measured = _columns(record[n] for n in outputs)
+    measured = np.column_stack([record[n] for n in outputs])
     view = RecordView(
         name=experiment.name,
         t=np.asarray(record.t),
@@ -64,7 +63,3 @@ def _view(fitted: FittedModel, experiment: Experiment) -> RecordView:
         x=np.empty((record.N, 0)),
     )
     return view if model.takes_si else view.in_units(model.declared_units)
-
-
-def _columns(signals: Iterable[Array]) -> Array:
-    return np.column_stack([*signals])

@@ -36,6 +36,9 @@ _LEGEND: dict[str, Any] = {
     "itemsizing": "constant",
     "font": {"size": 13},
 }
+_MENU_HEIGHT = 46
+"""What a figure with a menu of records below it is higher by, in pixels."""
+
 _MENU: dict[str, Any] = {
     "type": "dropdown",
     "direction": "up",
@@ -205,7 +208,8 @@ class Panels:
         several = len(views) > 1
         title = wrap(caption, 100)
         top = 18 * len(title) + 62
-        bottom = 100 if several else 54 if self.has_x_label else 34
+        bottom = (54 if self.has_x_label or several else 34) + several * _MENU_HEIGHT
+        names = [visible_text(view.name) for view, *_ in self.menu]
         self.figure.update_xaxes(
             title_standoff=6,
             tickangle=0,
@@ -242,7 +246,7 @@ class Panels:
                 "row_height": self.row_height,
                 "gap": self.gap,
                 "bottom": bottom,
-                **({"names": [visible_text(v.name) for v, *_ in self.menu]} if several else {}),
+                **({"names": names, "menu": _MENU_HEIGHT} if several else {}),
             },
         )
         if self.menu:

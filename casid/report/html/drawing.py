@@ -136,9 +136,10 @@ DRAW = """
     if (menu) {
       delete figure.layout.updatemenus;
       chooser(place, menu, figure.layout.meta);
-      figure.layout.margin.b -= 46;  // where the menu was
-      figure.layout.meta.bottom -= 46;
-      figure.layout.height -= 46;
+      var height = figure.layout.meta.menu;  // of what is no longer there
+      figure.layout.margin.b -= height;
+      figure.layout.meta.bottom -= height;
+      figure.layout.height -= height;
     }
     var wide = JSON.parse(JSON.stringify(figure.layout));
     var layout = adapt(figure.layout, wide, place.clientWidth);
