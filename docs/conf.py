@@ -31,7 +31,7 @@ myst_heading_anchors = 3
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"casid {version}"
-html_favicon = "_static/icon.svg"
+html_favicon = str(HERE / "_static" / "icon.svg")
 html_static_path = ["_static"]
 html_css_files = ["manual.css"]
 html_js_files = ["manual.js"]
