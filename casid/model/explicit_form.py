@@ -40,7 +40,7 @@ def solved_for(z: Any, residuals: Sequence[Any], model: str, n_first: int) -> An
     matrix = ca.jacobian(residual, z)
     names = [str(z[j]) for j in range(z.numel())]
     curved = ca.vec(matrix)
-    nonlinear = [n for j, n in enumerate(names) if any(ca.which_depends(curved, z[j]))]
+    nonlinear = [n for n, met in zip(names, ca.which_depends(curved, z), strict=True) if met]
     if nonlinear:
         raise ModelError(
             f"{model}: the equations are not linear in {', '.join(nonlinear)}, so the "
@@ -82,11 +82,12 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
     for j in range(n):
         # An eliminated input is solved from its own output where that names it outright, and from
         # its balance where the output feels it through a derivative alone.
-        own = [i for i in rows if i < n_first and size(a[i][j]) > 0.0] if j < n_first else []
-        best = max(own or rows, key=lambda i: size(a[i][j]))
+        sizes = {i: size(a[i][j]) for i in rows}
+        own = [i for i in rows if i < n_first and sizes[i] > 0.0] if j < n_first else []
+        best = max(own or rows, key=sizes.__getitem__)
         if j < n_first and not own:
             borrowed.append(names[j])
-        if size(a[best][j]) == 0.0:
+        if sizes[best] == 0.0:
             lacking = (borrowed or [names[j]])[0]
             raise ModelError(
                 f"{model}: the equations do not determine {lacking}; an unknown input can only be "

@@ -11,6 +11,7 @@ computed, not to the continuous system (Hairer, Norsett, Wanner 1993, II.6).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -163,9 +164,8 @@ class Simulator:
         self.stepping = stepping_outputs(model, e)
         h = ca.Function("h", [e.x, e.u, e.p], [e.h])
         at_end = h(x_next, at[2], e.p)
-        before = ca.vertcat(*[at_end[i] for i in self.stepping])
-        self._plain_step = Step("step", symbols, e.x, x_next, e.h, before)
-        self._tangent_step = self._differentiate(e, symbols, x_next, before)
+        self._symbols, self._x_next = symbols, x_next
+        self._before = ca.vertcat(*[at_end[i] for i in self.stepping])
 
     def with_courses(self, u: Array) -> Array:
         """Inputs (N, nu) of a whole record, beside them what band-limited ones do between samples.
@@ -175,7 +175,14 @@ class Simulator:
         """
         return self._stepping.with_courses(u)
 
-    def _differentiate(self, e: Explicit, symbols: StepSymbols, x_next: Any, before: Any) -> Step:
+    @functools.cached_property
+    def _plain_step(self) -> Step:
+        e = self.equations
+        return Step("step", self._symbols, e.x, self._x_next, e.h, self._before)
+
+    @functools.cached_property
+    def _tangent_step(self) -> Step:
+        e, x_next, before = self.equations, self._x_next, self._before
         columns = [e.parameters.index(name) for name in self.free]
         p_free = ca.vertcat(*[e.p[i] for i in columns])
         nf = len(self._felt)
@@ -191,7 +198,7 @@ class Simulator:
 
         return Step(
             "tangent",
-            symbols,
+            self._symbols,
             ca.vertcat(e.x, ca.vec(s)),
             ca.vertcat(x_next, ca.vec(tangent(felt_next))),
             ca.vertcat(e.h, ca.vec(tangent(e.h))),
