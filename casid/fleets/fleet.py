@@ -21,6 +21,7 @@ from casid.errors import DataError
 from casid.fleets.false_discoveries import SOURCES as RATE_SOURCES
 from casid.fleets.false_discoveries import false_alarms_per_month
 from casid.fleets.findings import Finding, findings_of
+from casid.fleets.fleet_settings import REFERENCES, FleetSettings, Reference, reference_of
 from casid.fleets.fleet_table import (
     CAUSES,
     PARAMETERS,
@@ -43,7 +44,6 @@ from casid.fleets.random_effects import SOURCES as EFFECT_SOURCES
 from casid.fleets.random_effects import ParameterEffects, Sample, parameter_effects
 from casid.fleets.record_files import RecordFile, files_of
 from casid.fleets.record_list import UNKNOWN, FleetRecord, Labels, RecordList
-from casid.fleets.record_work import REFERENCES, FleetSettings, Reference, reference_of
 from casid.fleets.thresholds import RECORD_BUDGET
 from casid.model.units import to_si
 from casid.presentation import Presented, present, write

@@ -15,8 +15,8 @@ from multiprocessing import current_process
 from multiprocessing.util import Finalize
 from typing import TYPE_CHECKING, Any
 
+from casid.fleets.fleet_settings import REFUSED, Reference
 from casid.fleets.record_list import FleetRecord
-from casid.fleets.record_work import REFUSED, Reference, do_reference, do_row
 from casid.fleets.supervision import StoppedError, Supervised, end_with_parent
 from casid.fleets.thresholds import RECORD_BUDGET
 
@@ -50,7 +50,7 @@ class ReferenceTask:
         """The parameters of one record, or why it has none."""
         record = FleetRecord(**_unpacked(self.records)[int(seed.spawn_key[0])])
         try:
-            return _supervised(self.budget, do_reference, self.work, record)
+            return _supervised(self.budget, _REFERENCE, self.work, record)
         except StoppedError as error:
             return {"refusal": str(error)}
 
@@ -75,9 +75,7 @@ class RecordTask:
         known = _unpacked(self.references).get(record.asset)
         reference = None if known is None else Reference(known[0], tuple(map(tuple, known[1])))
         try:
-            return _supervised(
-                self.budget, do_row, self.work, record, reference, self.budget.seconds
-            )
+            return _supervised(self.budget, _ROW, self.work, record, reference, self.budget.seconds)
         except StoppedError as error:
             return {**REFUSED, "refusal": str(error)}
 
@@ -100,8 +98,12 @@ def _unpacked(content: bytes) -> Any:
 _processes = threading.local()
 
 
-def _supervised(budget: Budget, function: Any, *arguments: Any) -> dict[str, Any]:
-    """The function's value from this thread's own process."""
+_REFERENCE, _ROW = (f"casid.fleets.record_work:do_{what}" for what in ("reference", "row"))
+"""Functions by name: the diagnosis is loaded in the process that runs them alone."""
+
+
+def _supervised(budget: Budget, function: str, *arguments: Any) -> dict[str, Any]:
+    """The value of a function, given by its name, from this thread's own process."""
     process: Supervised | None = getattr(_processes, "process", None)
     if process is None or (process.seconds, process.memory) != (budget.seconds, budget.memory):
         end_process()

@@ -10,8 +10,8 @@ import functools
 import json
 import math
 import pickle
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,58 +25,12 @@ from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.verdict.cause import Cause
 from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.estimate import Estimate
+from casid.fleets.fleet_settings import REFUSED, FleetSettings, Reference, Row
 from casid.fleets.record_files import local
 from casid.fleets.record_list import FleetRecord
 from casid.fleets.screening import ParameterValue, Screen, Screened
 from casid.fleets.supervision import over_time
-from casid.fleets.thresholds import SCREENING
 from casid.identification.identify import identify
-
-Row = dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class FleetSettings:
-    """How the records of a fleet are diagnosed.
-
-    Attributes
-    ----------
-    level : of false discoveries over the fleet, and of false alarms in one record.
-    screen : whether score tests at the asset's reference decide which records are searched.
-    hold_out, max_causes, without, starts, seed : as `casid.diagnose` takes them.
-    mapping : signal -> column, as `casid.Problem.read` takes it; window : seconds of each record.
-    ignore : columns of the files that are no signals, or are not to be tested as missing inputs.
-    """
-
-    level: float = 0.05
-    screen: bool = True
-    hold_out: float = 0.3
-    max_causes: int = 4
-    without: tuple[str, ...] = ()
-    starts: int | None = None
-    seed: int = 0
-    mapping: Mapping[str, str] = field(default_factory=dict)
-    window: tuple[float, float] | None = None
-    ignore: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.without, str):  # one text is refused, with what to write instead
-            object.__setattr__(self, "without", tuple(self.without))
-        object.__setattr__(self, "mapping", dict(self.mapping))
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """A fit to the first records of an asset.
-
-    Attributes
-    ----------
-    path : of the record whose signals scale the catalogue.
-    values : parameter -> value in SI.
-    """
-
-    path: str
-    values: tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,10 +120,6 @@ class RecordWork:
         return _row_of(found)
 
 
-REFUSED: Row = {"stage": "refused", "verdict": "", "p": 1.0, "parameters": "[]", "causes": "[]"}
-"""What a record without an outcome has, beside `refusal`."""
-
-
 @functools.lru_cache(maxsize=4)
 def work_of(content: bytes) -> RecordWork:
     """The work in another process, once for all of its records."""
@@ -196,26 +146,6 @@ def _screen_of(work: RecordWork, reference: Reference) -> Screen:
         level=s.level,
         without=s.without,
     )
-
-
-def reference_of(fits: Sequence[tuple[FleetRecord, Mapping[str, float]]]) -> Reference | None:
-    """The median of some records' fits, at the signals of the record nearest to it.
-
-    A median, since one of the first records may lack what the others have.
-    """
-    if not fits:
-        return None
-    names = list(fits[0][1])
-    values = np.array([[fit[n] for n in names] for _, fit in fits])
-    middle = np.median(values, axis=0)
-    spread = np.median(np.abs(values - middle), axis=0)
-    distance = np.sum(np.abs(values - middle) / np.where(spread > 0, spread, 1.0), axis=1)
-    nearest = fits[int(np.argmin(distance))][0]
-    return Reference(nearest.path, tuple(zip(names, middle.tolist(), strict=True)))
-
-
-REFERENCES = SCREENING.references
-"""First records of an asset that its reference is made of."""
 
 
 def _in_si(problem: Problem, experiment: Experiment) -> Experiment:

@@ -2,7 +2,8 @@
 
 A limit that the work itself looks at ends no simulation that never returns, and no allocation: the
 process that supervises ends both. It starts the process once and hands it task after task, so that
-what the tasks keep (a loaded problem, functions that were built) is built once.
+what the tasks keep (a loaded problem, functions that were built) is built once. Functions are given
+by name: their libraries are loaded in that process alone, before the time of a task begins.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
+import pkgutil
 import queue
 import struct
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import IO, Any
 
 from casid.errors import SolveError
@@ -47,8 +49,8 @@ class Supervised:
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: queue.Queue[bytes | None] = queue.Queue()
 
-    def __call__(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """The function's value of these arguments, all of which can be pickled.
+    def __call__(self, function: str, *arguments: Any) -> Any:
+        """The value of a function, "module:name", of arguments that can be pickled.
 
         Raises
         ------
@@ -58,17 +60,19 @@ class Supervised:
             What the function raises.
         """
         process = self._running()
-        assert process.stdin is not None
         wall = RECORD_BUDGET.grace * self.seconds * time_factor()
-        task = pickle.dumps((function, arguments, wall, self.memory))
-        try:
-            _send(process.stdin, task)
-            answer = self._answers.get(timeout=wall)
-        except queue.Empty:
-            self.end()
-            raise StoppedError(over_time(self.seconds)) from None
-        except OSError:
-            answer = None
+        limits = (
+            (RECORD_BUDGET.loading * time_factor(), function, _NOT_LOADED),
+            (wall, (arguments, wall, self.memory), over_time(self.seconds)),
+        )
+        answer: bytes | None = _LOADED
+        for timeout, content, late in limits:
+            if answer == _LOADED:
+                try:
+                    answer = self._answer(process, content, timeout)
+                except queue.Empty:
+                    self.end()
+                    raise StoppedError(late) from None
         if answer is None:
             status = process.wait()
             self.end()
@@ -80,6 +84,17 @@ class Supervised:
         if error is not None:
             raise error
         return value
+
+    def _answer(
+        self, process: subprocess.Popen[bytes], content: Any, timeout: float
+    ) -> bytes | None:
+        """What the process answers to `content`; None if it has ended; queue.Empty late."""
+        assert process.stdin is not None
+        try:
+            _send(process.stdin, pickle.dumps(content))
+        except OSError:
+            return None
+        return self._answers.get(timeout=timeout)
 
     def end(self) -> None:
         """End the process, whatever it does."""
@@ -125,6 +140,8 @@ class Supervised:
         return f"its process ended by itself (status {status}): a crash in compiled code"
 
 
+_LOADED = b"loaded"
+_NOT_LOADED = f"its process had not loaded its libraries after {RECORD_BUDGET.loading:g} s"
 _KILLED = "its process was killed from outside, as systems do that run out of memory"
 
 
@@ -182,10 +199,13 @@ def serve() -> None:
     tasks, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     sys.stdin = open(os.devnull)
-    for task in _frames(tasks):
+    frames = _frames(tasks)
+    for name in frames:
         value, error = None, None
         try:
-            function, arguments, seconds, memory = pickle.loads(task)
+            function = pkgutil.resolve_name(pickle.loads(name))
+            _send(answers, _LOADED)
+            arguments, seconds, memory = pickle.loads(next(frames))
             with _limited(seconds, memory):
                 value = function(*arguments)
         except Exception as raised:

@@ -93,6 +93,9 @@ class RecordBudget:
 
     seconds: float = _is(300.0, "where none is given", _RECORDS)
     memory: float = _is(2000.0, "megabytes beside what the libraries take", _RECORDS)
+    loading: float = _is(
+        120.0, "seconds in which its process has to load the libraries: of no record", _RECORDS
+    )
     look: float = _is(
         1.0, "seconds between two looks of a process at whether the one above it is there", _RECORDS
     )

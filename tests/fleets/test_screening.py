@@ -9,8 +9,8 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.spectral_peaks import find_peaks
+from casid.fleets.fleet_settings import Reference, reference_of
 from casid.fleets.record_list import FleetRecord
-from casid.fleets.record_work import Reference, reference_of
 from casid.fleets.screening import Screen, Screened
 from casid.fleets.thresholds import SCREENING
 from tests.support.fleet_records import samples, write_problem, write_record

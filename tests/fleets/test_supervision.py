@@ -15,6 +15,8 @@ from casid.fleets.thresholds import RECORD_BUDGET
 from tests.support.dask_cluster import WAIT
 from tests.support.shared import ROOT
 
+HERE = "tests.fleets.test_supervision:"
+
 
 def double(x: int) -> int:
     print("this goes to standard error")
@@ -47,14 +49,36 @@ def process(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_tasks_are_done_one_after_another_by_one_process(process: Supervised) -> None:
-    assert [process(double, i) for i in range(3)] == [0, 2, 4]
-    assert process(os.getpid) == process(os.getpid) != os.getpid()
+    assert [process(HERE + "double", i) for i in range(3)] == [0, 2, 4]
+    assert process("os:getpid") == process("os:getpid") != os.getpid()
 
 
 def test_what_a_task_raises_is_raised_here(process: Supervised) -> None:
     with pytest.raises(ValueError, match="no such thing"):
-        process(failing)
-    assert process(double, 1) == 2
+        process(HERE + "failing")
+    assert process(HERE + "double", 1) == 2
+
+
+def test_a_function_that_is_not_there_is_told_and_the_next_one_done(process: Supervised) -> None:
+    with pytest.raises(AttributeError, match="no_such"):
+        process(HERE + "no_such", 1)
+    assert process(HERE + "double", 1) == 2
+
+
+def test_the_libraries_of_a_task_are_loaded_outside_its_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A module that takes a second to load, and a budget of half a second."""
+    (tmp_path / "slow_to_load.py").write_text("import time\ntime.sleep(1)\ndef f(): return 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("CASID_TIME_FACTOR", "1")
+    process = Supervised(0.5, 300.0)
+    try:
+        assert process("slow_to_load:f") == 1
+        with pytest.raises(StoppedError, match="budget of 0.5 s"):
+            process(HERE + "endless")
+    finally:
+        process.end()
 
 
 def test_an_endless_task_is_ended_and_the_next_one_done(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,9 +87,9 @@ def test_an_endless_task_is_ended_and_the_next_one_done(monkeypatch: pytest.Monk
     try:
         begun = time.monotonic()
         with pytest.raises(StoppedError, match="more than its budget of 3 s"):
-            process(endless)
+            process(HERE + "endless")
         assert time.monotonic() - begun >= RECORD_BUDGET.grace * 3.0
-        assert process(double, 4) == 8
+        assert process(HERE + "double", 4) == 8
     finally:
         process.end()
 
@@ -73,14 +97,14 @@ def test_an_endless_task_is_ended_and_the_next_one_done(monkeypatch: pytest.Monk
 @pytest.mark.skipif(sys.platform != "linux", reason="no such limit of memory")
 def test_a_task_that_takes_too_much_memory_is_ended(process: Supervised) -> None:
     with pytest.raises(StoppedError, match="more memory than its budget of 300 MB"):
-        process(hungry)
-    assert process(double, 5) == 10
+        process(HERE + "hungry")
+    assert process(HERE + "double", 5) == 10
 
 
 def test_a_crash_in_compiled_code_is_told_and_survived(process: Supervised) -> None:
     with pytest.raises(StoppedError, match="a crash in compiled code"):
-        process(crashing)
-    assert process(double, 6) == 12
+        process(HERE + "crashing")
+    assert process(HERE + "double", 6) == 12
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -89,9 +113,8 @@ def test_a_process_ends_with_the_one_that_supervises_it() -> None:
     program = (
         "import sys, threading, time\n"
         "from casid.fleets.supervision import Supervised\n"
-        "from tests.fleets.test_supervision import endless\n"
         "s = Supervised(300.0, 300.0)\n"
-        "threading.Thread(target=s, args=(endless,), daemon=True).start()\n"
+        f"threading.Thread(target=s, args=({HERE + 'endless'!r},), daemon=True).start()\n"
         "while s._process is None: time.sleep(0.01)\n"
         "print(s._process.pid, flush=True)\n"
         "time.sleep(600)\n"
