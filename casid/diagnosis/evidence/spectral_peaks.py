@@ -32,6 +32,7 @@ from casid.estimation.simulation.minimization import Fit, widened
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 from casid.model.effects.periodic import periodic_disturbance
+from casid.model.effects.places import places_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +181,7 @@ def _refined(e: Array, t: Array, f: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeriodicCandidate:
-    """A periodic disturbance in one balance, with the amplitudes that its score gives."""
+    """A periodic disturbance in one place, with the amplitudes that its score gives."""
 
     effect: Effect
     starts: dict[str, float]  # by the effect's own parameter names
@@ -196,7 +197,7 @@ class PeriodicCandidate:
 def periodic_candidates(
     fit: Fit, window: tuple[float, float], *, alpha: float = 0.05, most: int = PEAKS.most_forces
 ) -> list[PeriodicCandidate]:
-    """Each significant peak as a force in each balance, the largest statistic first.
+    """Each significant peak as a force in each place, the largest statistic first.
 
     Parameters
     ----------
@@ -208,10 +209,11 @@ def periodic_candidates(
     base = fit.criterion
     residuals = [base.columns(fit.x, k)[0] for k in range(len(base.data))]
     peaks = find_peaks(residuals, [d.Ts for d in base.data], alpha=alpha, most=most)
+    places = [p for p in places_of(base.model) if p.has_own_force] if peaks else []
     out = []
     for peak in peaks:
-        for balance in base.model.balances:
-            effect = periodic_disturbance(base.model, balance, peak.frequency, window)
+        for place in places:
+            effect = periodic_disturbance(base.model, place, peak.frequency, window)
             model, names = effect.extended(base.model)
             wide = widened(fit, model.with_known(**{names[2]: peak.frequency}))
             e, psi, tangent = _split_columns(wide, names[:2])

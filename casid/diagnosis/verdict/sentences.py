@@ -30,7 +30,7 @@ _SAYS = {
     "end_stop": "a stop (or an overflow) limits the motion in {place}",
     "cogging": "a force that is periodic in the position (cogging) acts in {place}",
     "offset": "a constant term acts in {place}",
-    "periodic_disturbance": "an unrecorded periodic disturbance acts in the {where} balance",
+    "periodic_disturbance": "an unrecorded periodic disturbance acts in {place}",
     "parameter_drift": "the parameter {where} drifts during the record",
     "extra_input": "the recorded channel {where}, which the model omits, acts {on}",
     "parameter_jump": "the parameter {where} changes during the record",

@@ -185,15 +185,17 @@ def effective_stiffness(model: Model, balance: str, position: str) -> Any | None
     return K if finite and max(finite) > 1e-12 else None
 
 
-def offset(model: Model, balance: str) -> Effect:
-    """A constant force or torque in a balance."""
-    b = model.balances[balance]
+def offset(model: Model, where: str | Place) -> Effect:
+    """A constant force or torque in a balance, or between two bodies or stores."""
+    place = place_named(model, where)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        new.add_term(balance, new.symbol(names[0]))
+        place.add(new, new.symbol(names[0]))
 
-    symbol = "tau_0" if b.unit == "N m" else "F_0"
-    return Effect("offset", balance, (Parameter(symbol, b.unit, 0.0),), apply)
+    symbol = "tau_0" if place.unit == "N m" else "F_0"
+    says = f"a constant term {place.words}" if place.is_relative else ""
+    value = Parameter(symbol, place.unit, 0.0)
+    return Effect("offset", place.where, (value,), apply, description=says)
 
 
 def extra_input(model: Model, balance: str, channel: str, unit: str, about: float = 0.0) -> Effect:

@@ -79,8 +79,9 @@ def catalogue(
     for place in places_of(model):
         effects += forces_at(model, place, sizes)
         effects += _linear_and_power_laws(model, place, sizes)
+        if place.has_own_force:
+            effects.append(offset(model, place))
         if place.where in model.balances:
-            effects.append(offset(model, place.where))
             for channel, unit in recorded.items():
                 reading = sizes.channels.get(channel)
                 effects += extra_inputs_of(model, place.where, channel, unit, reading)

@@ -1,4 +1,4 @@
-"""A periodic force: a sinusoid of unknown amplitude, phase and frequency in a balance."""
+"""A periodic force: a sinusoid of unknown amplitude, phase and frequency."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ import numpy as np
 from casid.model.clock_signals import Always, TimeSince
 from casid.model.declarations import Input, Parameter
 from casid.model.effects.effect import Effect
+from casid.model.effects.place import Place
+from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import PERIODIC_FORCES
 from casid.model.model import Model
 
 
 def periodic_disturbance(
-    model: Model, balance: str, frequency: float, window: tuple[float, float]
+    model: Model, where: str | Place, frequency: float, window: tuple[float, float]
 ) -> Effect:
-    """a_cos cos(2 pi f (t - t_mid)) + a_sin sin(2 pi f (t - t_mid)) in a balance, f near a given.
+    """a_cos cos(2 pi f (t - t_mid)) + a_sin sin(2 pi f (t - t_mid)) at a place, f near a given.
+
+    In a balance, or between two bodies or stores: in all balances that a relative motion enters.
 
     Time enters as a generated input, so that the derivative in f is exact; counted from the middle
     of the `window` (seconds of the record's clock), f and the phase are nearly uncorrelated. f may
@@ -31,7 +35,7 @@ def periodic_disturbance(
     """
     start, stop = window
     middle, half = 0.5 * (start + stop), 0.5 / (stop - start)
-    unit = model.balances[balance].unit
+    place = place_named(model, where)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         since = Input(f"time since {middle:.9g} s", "s", "generated", "foh", TimeSince(middle))
@@ -39,21 +43,22 @@ def periodic_disturbance(
         on = new.add_input(Input("one on this clock", "1", "generated", "foh", Always()))
         a, b, f = (new.symbol(name) for name in names)
         turn = 2 * np.pi * f * t
-        new.add_term(balance, on * (a * ca.cos(turn) + b * ca.sin(turn)))
+        place.add(new, on * (a * ca.cos(turn) + b * ca.sin(turn)))
 
     lower, upper = max(frequency - half, PERIODIC_FORCES.lowest * frequency), frequency + half
     parameters = (
-        Parameter("a_cos", unit, 0.0),
-        Parameter("a_sin", unit, 0.0),
+        Parameter("a_cos", place.unit, 0.0),
+        Parameter("a_sin", place.unit, 0.0),
         Parameter("frequency", "Hz", frequency, lower=lower, upper=upper),
     )
     return Effect(
         "periodic_disturbance",
-        balance,
+        place.where,
         parameters,
         apply,
         test="peak",
         variant=frequency,
         cost=PERIODIC_FORCES.cost,
+        description=place.words,
         constants={"origin": middle},
     )

@@ -52,6 +52,14 @@ class Place:
         return self.where != self.shares[0][0]
 
     @property
+    def has_own_force(self) -> bool:
+        """True where a force of any course is another one than in a single balance.
+
+        On a motion relative to an input a force acts in one balance, as it does without the input.
+        """
+        return not self.is_relative or len(self.shares) > 1
+
+    @property
     def words(self) -> str:
         """The equations that a force on a relative motion enters; "" for a balance."""
         if not self.is_relative:

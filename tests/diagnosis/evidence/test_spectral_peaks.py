@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import binom
 
@@ -114,3 +115,37 @@ def test_a_record_without_a_line_gives_no_candidate():
     weighing = Weighing(experiments)
     at = weighing.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
     assert periodic_candidates(at.fit, (0.0, 20.0), alpha=0.01) == []
+
+
+def test_a_flow_to_and_fro_between_two_stores_is_one_disturbance_and_not_two():
+    """Exactly, by the step of the linear system: what the one store gains the other loses."""
+    Ts, N, C1, C2, G, H = 60.0, 1500, 3e4, 9e4, 40.0, 25.0
+    A = np.array([[-(G + H) / C1, G / C1], [G / C2, -G / C2]])
+    B = np.array([[1 / C1, 1 / C1], [0.0, -1 / C2]])  # power, and what flows through the wall
+    both = expm(np.block([[A, B], [np.zeros((2, 4))]]) * Ts)
+    rng, t = np.random.default_rng(3), Ts * np.arange(N)
+    u = np.column_stack([400.0 * (np.sin(t / 5e3) > 0), 30.0 * np.cos(2 * np.pi * 4e-4 * t)])
+    x, y = np.zeros(2), np.empty((N, 2))
+    for k in range(N):
+        y[k] = x
+        x = both[:2, :2] @ x + both[:2, 2:] @ u[k]
+    y += 0.02 * rng.standard_normal((N, 2))
+    m = casid.Model("two stores")
+    T, W = m.state("T", "K"), m.state("W", "K")
+    g, h = (m.parameter(n, "W/K", start=30.0, lower=1.0) for n in "gh")
+    c1, c2 = (m.parameter(n, "J/K", start=5e4, lower=1e3) for n in ("c1", "c2"))
+    P = m.input("P", "W", hold="zoh", known=True)
+    m.balance(T, "air", inertia=c1, terms=[P, g * (W - T), -h * T])
+    m.balance(W, "wall", inertia=c2, terms=[g * (T - W)])
+    m.output("air", T, "K")
+    m.output("inside", W, "K")
+    channels = {"air": y[:, 0], "inside": y[:, 1], "P": u[:, 0]}
+    record = casid.Record(channels, {"air": "K", "inside": "K", "P": "W"}, Ts)
+    found = casid.diagnose(casid.Problem("two stores", m), record, advise=False)
+    (cause,) = found.causes
+    assert (cause.kind, cause.where) == ("periodic_disturbance", "T-W")
+    assert cause.sentence.endswith("disturbance acts in the relative motion T-W")
+    size = {p.name: p for p in cause.parameters}
+    assert size["frequency"].value == pytest.approx(4e-4, abs=4 * size["frequency"].std_error)
+    amplitude = np.hypot(size["a_cos"].value, size["a_sin"].value)
+    assert amplitude == pytest.approx(30.0, abs=4 * size["a_cos"].std_error)

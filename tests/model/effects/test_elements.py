@@ -8,12 +8,13 @@ import pytest
 import casid
 from casid.errors import ModelError
 from casid.model.dimensions import check_units
-from casid.model.effects.balance_effects import cubic_stiffness
+from casid.model.effects.balance_effects import cubic_stiffness, offset
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Sizes
 from casid.model.effects.elements import elements_of
+from casid.model.effects.periodic import periodic_disturbance
 from casid.model.effects.place import balance_place
-from casid.model.effects.places import place_named
+from casid.model.effects.places import place_named, places_of
 
 
 def rig(ratio: float | None = None) -> casid.Model:
@@ -152,6 +153,20 @@ def test_what_a_relative_motion_adds_takes_from_one_body_what_it_gives_the_other
     symbols = [extended.symbol(n) for n in ("a", "b", "n", name)]
     torques = ca.Function("t", symbols, [ca.vertcat(motor, load)])(0.5, 0.02, 20.0, 400.0)
     assert [float(t) for t in ca.vertsplit(torques)] == pytest.approx([-400 * 0.1**3, 20 * 0.4])
+
+
+def test_a_constant_or_a_periodic_force_between_two_bodies_is_one_of_the_catalogue():
+    """What the one gives the other takes; relative to an input it would be one in a balance."""
+    model = rig(ratio=3.0)
+    for effect in (offset(model, "w1-n*w2"), periodic_disturbance(model, "w1-n*w2", 2.0, (0, 9))):
+        extended = model.extend(effect)
+        check_units(extended)
+        motor, load = (extended.balances[n].terms[-1] for n in ("motor", "load"))
+        assert float(ca.evalf(ca.substitute(load / motor, extended.symbol("n"), 3.0))) == -3.0
+        assert "in motor and in load times -n" in effect.description
+    assert [p.has_own_force for p in places_of(model)] == [True, True, True]
+    tyre = {p.where: p for p in places_of(quarter_car())}["y-road"]
+    assert not tyre.has_own_force
 
 
 def reaction_wheel() -> casid.Model:
