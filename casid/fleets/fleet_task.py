@@ -98,8 +98,9 @@ def _unpacked(content: bytes) -> Any:
 _processes = threading.local()
 
 
-_REFERENCE, _ROW = (f"casid.fleets.record_work:do_{what}" for what in ("reference", "row"))
-"""Functions by name: the diagnosis is loaded in the process that runs them alone."""
+# By their names: the diagnosis is loaded in the process that runs them alone.
+_REFERENCE = "casid.fleets.record_work:do_reference"
+_ROW = "casid.fleets.record_work:do_row"
 
 
 def _supervised(budget: Budget, function: str, *arguments: Any) -> dict[str, Any]:

@@ -61,12 +61,13 @@ class Supervised:
         """
         process = self._running()
         wall = RECORD_BUDGET.grace * self.seconds * time_factor()
-        limits = (
-            (RECORD_BUDGET.loading * time_factor(), function, _NOT_LOADED),
-            (wall, (arguments, wall, self.memory), over_time(self.seconds)),
+        task = pickle.dumps((arguments, wall, self.memory))
+        turns = (
+            (pickle.dumps(function), RECORD_BUDGET.loading * time_factor(), _NOT_LOADED),
+            (task, wall, over_time(self.seconds)),
         )
         answer: bytes | None = _LOADED
-        for timeout, content, late in limits:
+        for content, timeout, late in turns:
             if answer == _LOADED:
                 try:
                     answer = self._answer(process, content, timeout)
@@ -86,12 +87,12 @@ class Supervised:
         return value
 
     def _answer(
-        self, process: subprocess.Popen[bytes], content: Any, timeout: float
+        self, process: subprocess.Popen[bytes], content: bytes, timeout: float
     ) -> bytes | None:
-        """What the process answers to `content`; None if it has ended; queue.Empty late."""
+        """What the process answers; None if it has ended. `queue.Empty` if it takes too long."""
         assert process.stdin is not None
         try:
-            _send(process.stdin, pickle.dumps(content))
+            _send(process.stdin, content)
         except OSError:
             return None
         return self._answers.get(timeout=timeout)

@@ -65,6 +65,12 @@ def test_a_function_that_is_not_there_is_told_and_the_next_one_done(process: Sup
     assert process(HERE + "double", 1) == 2
 
 
+def test_arguments_that_cannot_be_sent_are_told_and_the_next_ones_done(process: Supervised) -> None:
+    with pytest.raises(Exception, match="pickle"):
+        process(HERE + "double", lambda: 1)
+    assert process(HERE + "double", 1) == 2
+
+
 def test_the_libraries_of_a_task_are_loaded_outside_its_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
