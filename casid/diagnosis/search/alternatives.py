@@ -184,7 +184,8 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
     """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6)).
 
     Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence;
-    where it absorbs misfit, gains are no likelihoods, and Vuong's test counts as well.
+    where it absorbs misfit, gains are no likelihoods, and Vuong's test counts as well. The best
+    come first, and of those that are the same thing in this model the one named by convention.
     """
     out = []
     mine = _losses(best)
@@ -200,7 +201,8 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
         if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))
-    return tuple(sorted(out, key=lambda r: -r.p_value))
+    same = COMPARISON.same
+    return tuple(sorted(out, key=lambda r: (-round(r.p_value / same), r.candidate.effect.priority)))
 
 
 def near_ones(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tuple[Candidate, ...]:

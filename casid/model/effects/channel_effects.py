@@ -104,7 +104,8 @@ def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
     Parameters
     ----------
     about : the reading that is right (the channel's SI unit): zero, or the operating point of a
-        channel that stays away from zero, where a gain about zero is a bias to first order.
+        channel that stays away from zero, where a gain about zero is a bias to first order. Where
+        it is the same thing as a bias, the bias is named: one number, at every reading.
     """
     point = carrying_unit(about) if about else 0.0
     if channel in model.outputs:
@@ -127,6 +128,7 @@ def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
     lower, upper = RANGES.lowest_scale, RANGES.highest_scale
     p = Parameter(f"scale_{channel}", "1", 0.0, lower=lower, upper=upper)
     constants = {"about": about} if about else {}
+    priority += bool(about)
     return Effect("sensor_scale", channel, (p,), apply, priority=priority, constants=constants)
 
 

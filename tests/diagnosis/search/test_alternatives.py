@@ -5,8 +5,12 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
+import casid
 from casid.diagnosis.search.alternatives import near_ones, p_value, without_imitations
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import COMPARISON
@@ -71,3 +75,34 @@ def test_what_explains_nearly_as_much_is_compared_again_where_misfit_passed_for_
     at: Any = SimpleNamespace(noise_absorbs_misfit=noise_absorbs_misfit)
     expected = (near,) if noise_absorbs_misfit else ()
     assert near_ones(at, best, [best, near, far]) == expected
+
+
+def test_of_a_bias_and_a_gain_about_where_a_level_stays_the_bias_is_named() -> None:
+    """A h' = q - c sqrt(h) has the gain 1 + s in h with (1 + s) A and sqrt(1 + s) c.
+
+    A gain about a level is then a bias exactly.
+    """
+    A, c, Ts, N = 0.2, 0.003, 2.0, 630
+    rng = np.random.default_rng(4)
+    q = 0.0018 + 0.0004 * np.repeat(rng.choice([-1.0, 1.0], N // 45), 45)
+    h = np.empty(N)
+    h[0] = 0.5
+    for k in range(N - 1):
+        held = {"args": (q[k],), "rtol": 1e-8, "atol": 1e-10}
+        step = solve_ivp(lambda _, x, q: (q - c * np.sqrt(x)) / A, (0.0, Ts), h[k : k + 1], **held)
+        h[k + 1] = step.y[0, -1]
+    level = h - 0.1 + 0.002 * rng.standard_normal(N)
+    m = casid.Model("tank")
+    inflow, x = m.input("q", "m^3/s", hold="zoh", known=True), m.state("h", "m", start=0.5)
+    area = m.parameter("A", "m^2", start=0.1, lower=0.01, upper=2.0)
+    outlet = m.parameter("c", "m^2.5/s", start=0.002, lower=1e-4, upper=1.0)
+    terms = [inflow, -outlet * ca.sqrt(ca.fmax(x, 1e-6))]
+    m.balance(x, "volume", inertia=area, terms=terms, unit="m^3/s")
+    m.output("level", x, "m")
+    record = casid.Record({"level": level, "q": q}, {"level": "m", "q": "m^3/s"}, Ts)
+    found = casid.diagnose(casid.Problem("tank", m), record, advise=False)
+    (cause,) = found.causes
+    assert (cause.kind, cause.where) == ("sensor_bias", "level")
+    assert ("sensor_scale", "level") in [(r.kind, r.where) for r in cause.alternatives]
+    size = cause.parameters[0]
+    assert size.value == pytest.approx(-0.1, abs=4 * size.std_error)
