@@ -55,25 +55,18 @@ class Supervised:
         Raises
         ------
         StoppedError
-            If it took more time or memory than it may, or its process crashed.
+            If it took more time or memory than it may, its libraries did not load in time, or its
+            process crashed.
         Exception
             What the function raises.
         """
         process = self._running()
         wall = RECORD_BUDGET.grace * self.seconds * time_factor()
         task = pickle.dumps((arguments, wall, self.memory))
-        turns = (
-            (pickle.dumps(function), RECORD_BUDGET.loading * time_factor(), _NOT_LOADED),
-            (task, wall, over_time(self.seconds)),
-        )
-        answer: bytes | None = _LOADED
-        for content, timeout, late in turns:
-            if answer == _LOADED:
-                try:
-                    answer = self._answer(process, content, timeout)
-                except queue.Empty:
-                    self.end()
-                    raise StoppedError(late) from None
+        loading = RECORD_BUDGET.loading * time_factor()
+        answer = self._answer(process, pickle.dumps(function), loading, _NOT_LOADED)
+        if answer == _LOADED:
+            answer = self._answer(process, task, wall, over_time(self.seconds))
         if answer is None:
             status = process.wait()
             self.end()
@@ -87,15 +80,18 @@ class Supervised:
         return value
 
     def _answer(
-        self, process: subprocess.Popen[bytes], content: bytes, timeout: float
+        self, process: subprocess.Popen[bytes], content: bytes, timeout: float, late: str
     ) -> bytes | None:
-        """What the process answers; None if it has ended. `queue.Empty` if it takes too long."""
+        """What the process answers, None if it has ended; one that takes too long is ended."""
         assert process.stdin is not None
         try:
             _send(process.stdin, content)
+            return self._answers.get(timeout=timeout)
         except OSError:
             return None
-        return self._answers.get(timeout=timeout)
+        except queue.Empty:
+            self.end()
+            raise StoppedError(late) from None
 
     def end(self) -> None:
         """End the process, whatever it does."""
