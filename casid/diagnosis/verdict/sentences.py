@@ -141,7 +141,7 @@ def says(effect: Effect, column: str = "") -> str:
         of = f" (column {column!r})" if column and column != effect.where else ""
         on = f"in the {effect.shape} balance" if effect.shape else "on the system"
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
-    if effect.kind in ("offset", "sensor_bias") and effect.description:
+    if effect.kind in ("offset", "sensor_bias") and effect.is_on_the_clock:
         return effect.description
     if effect.kind == "hold" and effect.description:
         one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")

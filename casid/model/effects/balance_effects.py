@@ -188,14 +188,8 @@ def effective_stiffness(model: Model, balance: str, position: str) -> Any | None
 def offset(model: Model, where: str | Place) -> Effect:
     """A constant force or torque in a balance, or between two bodies or stores."""
     place = place_named(model, where)
-
-    def apply(new: Model, names: Sequence[str]) -> None:
-        place.add(new, new.symbol(names[0]))
-
     symbol = "tau_0" if place.unit == "N m" else "F_0"
-    says = f"a constant term {place.words}" if place.is_relative else ""
-    value = Parameter(symbol, place.unit, 0.0)
-    return Effect("offset", place.where, (value,), apply, description=says)
+    return force_along(place, "offset", Parameter(symbol, place.unit, 0.0), lambda F_0: F_0)
 
 
 def extra_input(model: Model, balance: str, channel: str, unit: str, about: float = 0.0) -> Effect:

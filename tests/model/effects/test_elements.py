@@ -6,6 +6,7 @@ import casadi as ca
 import pytest
 
 import casid
+from casid.diagnosis.verdict.sentences import says
 from casid.errors import ModelError
 from casid.model.dimensions import check_units
 from casid.model.effects.balance_effects import cubic_stiffness, offset
@@ -164,6 +165,7 @@ def test_a_constant_or_a_periodic_force_between_two_bodies_is_one_of_the_catalog
         motor, load = (extended.balances[n].terms[-1] for n in ("motor", "load"))
         assert float(ca.evalf(ca.substitute(load / motor, extended.symbol("n"), 3.0))) == -3.0
         assert "in motor and in load times -n" in effect.description
+        assert says(effect).endswith("acts in the relative motion w1-n*w2")
     assert [p.has_own_force for p in places_of(model)] == [True, True, True]
     tyre = {p.where: p for p in places_of(quarter_car())}["y-road"]
     assert not tyre.has_own_force
