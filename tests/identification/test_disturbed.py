@@ -36,15 +36,18 @@ TRUTH = {
 TS = 0.1
 
 
-def mass(offset=0.0):
-    """A mass on a spring under a recorded force; its sensor may have an offset that is known."""
+def mass(offset=0.0, slower=1.0):
+    """A mass on a spring under a recorded force; its sensor may have an offset that is known.
+
+    With `slower` it moves as many times more slowly.
+    """
     m = casid.Model("mass")
     x, v = m.state("x", "m"), m.state("v", "m/s")
     F = m.input("F", "N", hold="zoh")
     k = m.parameter("k", "N/m", start=3.0, lower=0.1, upper=100)
-    d = m.parameter("d", "N s/m", start=0.5, lower=0, upper=20)
+    d = m.parameter("d", "N s/m", start=0.5 * slower, lower=0, upper=20 * slower)
     m.derivative(x, v)
-    mass = m.parameter("m", "kg", value=1.0)
+    mass = m.parameter("m", "kg", value=slower**2)
     m.balance(v, "force", inertia=mass, terms=[F, -k * (x - offset), -d * v], unit="N")
     m.output("x", x, "m")
     return casid.Problem("mass", m, noise={"F": 0.0}, starts=1)
@@ -98,6 +101,20 @@ def test_parameters_size_and_peak_are_found_within_their_errors_over_seeds():
         low, high = chi2.ppf([0.001, 0.999], len(z))
         assert low < np.sum(z**2) < 1.3 * high, name  # of errors that are estimates themselves
         assert abs(np.mean(z)) < 3.3 / np.sqrt(len(z)), name
+
+
+def test_a_disturbance_that_comes_once_a_day_is_found_as_one_of_some_seconds():
+    """The same samples of the same motion, 1e5 times more slowly: only the unit of time differs."""
+    slower = 1e5
+    fast = record(0)
+    slow = casid.Record({n: fast[n] for n in ("F", "x")}, {"F": "N", "x": "m"}, TS * slower)
+    found = identify(mass(slower=slower), slow, disturbances="force:peak", intervals="quick")
+    scales = {"d": slower, "peak of disturbance in force": 1 / slower}
+    for name in TRUTH:
+        near, scale = estimate(0).parameter(name), scales.get(name, 1.0)
+        away = abs(found[name] / scale - near.value)
+        assert away < 0.05 * near.std_error, name
+        assert found.parameter(name).std_error / scale == pytest.approx(near.std_error, rel=0.05)
 
 
 def test_the_estimate_says_what_it_rests_on():
@@ -200,8 +217,8 @@ def test_the_likelihood_is_that_of_statsmodels_state_space():
     kalman["transition"], kalman["design"], kalman["selection"] = transition, C, np.eye(4)
     kalman["state_cov"], kalman["obs_cov"] = step, np.array([[SENSOR**2]])
     kalman["state_intercept"] = held[:, None] * data["F"][None]
-    order = ("x", "v", "disturbance in force", "integral of disturbance in force")
-    start = np.array([begin[name] for name in order])
+    quadrature = begin.pop("quadrature of disturbance in force")
+    start = np.array([*begin.values(), quadrature / PEAK])
     kalman.ssm.initialize_known(start, limit)
     own = criterion.log_likelihood(criterion.start)
     assert own == pytest.approx(kalman.ssm.loglike(), abs=1e-5)

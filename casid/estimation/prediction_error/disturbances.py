@@ -2,13 +2,14 @@
 
     white    w                                                     sd of the density: s
     first    f' = -w_0 f + sqrt(2 w_0) s w                         variance s^2, corner w_0
-    peak     f = b, a' = b, b' = -2 zeta w_0 b - w_0^2 a + sqrt(4 zeta w_0) s w
+    peak     f = b, a' = w_0 b, b' = -2 zeta w_0 b - w_0 a + sqrt(4 zeta w_0) s w
                                                                    variance s^2, peak w_0       (1)
 
 with w white noise of unit density and f what is added to the terms of a balance or to the rate of a
 state, or what stands for an input that nobody measures. The last is the usual linear model of a
 sea, without power at low frequencies (Fossen 2011, section 8.2.6): the band of
-`disturbance_spectrum`. Size s, frequency w_0 and half the relative width zeta are parameters of the
+`disturbance_spectrum`. Its integral is taken times w_0: both states then have the unit and variance
+of f, whether the peak is at 10 Hz or comes once a day. Size s, frequency w_0 and half the relative width zeta are parameters of the
 model like any other.
 """
 
@@ -77,9 +78,9 @@ class Disturbance:
         return f"disturbance in {self.place}"
 
     @property
-    def integral(self) -> str:
-        """The state a of (1)."""
-        return f"integral of disturbance in {self.place}"
+    def quadrature(self) -> str:
+        """The state a of (1), a quarter of a period behind b."""
+        return f"quadrature of disturbance in {self.place}"
 
     @property
     def source(self) -> str:
@@ -142,7 +143,7 @@ def stationary_spread(model: Model, disturbances: Sequence[Disturbance]) -> dict
             continue
         spread[d.force] = model.symbol(d.size)
         if d.spectrum == "peak":
-            spread[d.integral] = model.symbol(d.size) / model.symbol(d.frequency)
+            spread[d.quadrature] = model.symbol(d.size)
     return spread
 
 
@@ -178,10 +179,10 @@ def _force(new: Model, d: Disturbance, unit: str) -> Any:
         new.derivative(force, -frequency * force + ca.sqrt(2 * frequency) * size * white)
         return force
     width = new.parameter(d.width, "1", start=0.1, lower=1e-3, upper=2.0)
-    integral = new.state(d.integral, unit_quotient(unit, "s", -1))
-    new.derivative(integral, force)
+    quadrature = new.state(d.quadrature, unit)
+    new.derivative(quadrature, frequency * force)
     drive = ca.sqrt(4 * width * frequency) * size * white
-    new.derivative(force, drive - 2 * width * frequency * force - frequency**2 * integral)
+    new.derivative(force, drive - 2 * width * frequency * force - frequency * quadrature)
     return force
 
 
