@@ -9,6 +9,7 @@ from casid.data.problem import Problem
 from casid.diagnosis.advice.isolability import Isolability, isolability
 from casid.diagnosis.advice.next_experiment import Advice, Proposal, Suspect, next_experiment
 from casid.diagnosis.advice.undetectable import Undetectable, undetectable_effects
+from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
@@ -20,6 +21,7 @@ from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import POOR
 from casid.model.effects.effect import OF_SAMPLES
 from casid.model.effects.names import effect_words, either_words
+from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +57,8 @@ def recommend(
         text = _CHECK_CHANNELS
     elif planned is not None:
         text = planned.sentence
+    elif judged.verdict == "adequate" and any(d.is_dominant for d in judged.disturbances):
+        text = _disturbance_advice(problem.model, judged.disturbances[0])
     else:
         is_better = improves(decisive(judged.fitted, judged.held_out))
         text = advice(
@@ -161,6 +165,19 @@ def advice(
         names = ", ".join(sorted(effect_words(k, w) for k, w in undetected))
         return f"The model may be used. Undetectable in this set-up: {names}."
     return "The model may be used for motions like those recorded."
+
+
+def _disturbance_advice(model: Model, d: Disturbance) -> str:
+    """What to do about a disturbance that makes most of the residual."""
+    text = (
+        f"Find what acts on {d.where} and record it, then diagnose again: it makes "
+        f"{100 * d.share:.0f} % of the residual, and parameters fitted without it are biased where "
+        "it is not random or goes with a recorded input."
+    )
+    if d.where not in model.balances:
+        return text
+    how = f"casid identify --disturbance {d.where}:{d.spectral_form}"
+    return f"{text} What is truly random is estimated with them by {how}."
 
 
 def bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:

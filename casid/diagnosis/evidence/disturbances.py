@@ -21,6 +21,12 @@ from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, difference_to_si, same_dimension
 
+SLOW = 0.01
+"""Frequency [Hz] below which the period is said as well."""
+
+DAY = 86_400.0
+"""Its length [s]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
@@ -44,6 +50,18 @@ class Disturbance:
     bandwidth: float | None = None
 
     @property
+    def is_dominant(self) -> bool:
+        """True if it makes more of the residual than all else."""
+        return self.share > 0.5
+
+    @property
+    def spectral_form(self) -> str:
+        """The spectrum that `identify(disturbances=...)` has for one like it."""
+        if self.peak is None:
+            return "white"
+        return "peak" if self.peak > 0 else "first"
+
+    @property
     def sentence(self) -> str:
         """The disturbance in words."""
         if self.peak is None:
@@ -52,12 +70,21 @@ class Disturbance:
             spectrum = f"most of its power below {quantity_text(self.highest, 'Hz')}"
         else:
             peak, width = quantity_text(self.peak, "Hz"), quantity_text(self.bandwidth, "Hz")
-            spectrum = f"a band {width} wide around {peak}"
+            spectrum = f"a band {width} wide around {peak}{self._period}"
         return (
             f"an unrecorded random disturbance acts on {self.where}: standard deviation "
             f"{quantity_text(self.std, self.unit)}, {spectrum}, {100 * self.share:.0f} % of the "
             "residual"
         )
+
+    @property
+    def _period(self) -> str:
+        """The period of a slow peak, and whether a day is among those of its band."""
+        if not self.peak or not self.bandwidth or self.peak > SLOW:
+            return ""
+        is_daily = 2 * abs(self.peak - 1 / DAY) <= self.bandwidth
+        day = "; once a day, as sun and use come, is in that band" if is_daily else ""
+        return f" (a period of {quantity_text(1 / self.peak, 's')}{day})"
 
     @property
     def highest(self) -> float:

@@ -197,7 +197,8 @@ def _kind_of_remainder(
         return f" No error remains above the floor{also}."
     if not said:
         return " The remainder is consistent with noise."
+    by = "the disturbance" if is_random else "noise of measured inputs"
     return (
         " The remainder is consistent with the noise that was estimated, which is coloured: the "
-        f"residual is autocorrelated ({said}), as noise of measured inputs makes it."
+        f"residual is autocorrelated ({said}), as {by} makes it."
     )

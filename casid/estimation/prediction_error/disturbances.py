@@ -9,8 +9,8 @@ with w white noise of unit density and f what is added to the terms of a balance
 state, or what stands for an input that nobody measures. The last is the usual linear model of a
 sea, without power at low frequencies (Fossen 2011, section 8.2.6): the band of
 `disturbance_spectrum`. Its integral is taken times w_0: both states then have the unit and variance
-of f, whether the peak is at 10 Hz or comes once a day. Size s, frequency w_0 and half the relative width zeta are parameters of the
-model like any other.
+of f, whether the peak is at 10 Hz or comes once a day. Size s, frequency w_0 and half the relative
+width zeta are parameters of the model like any other.
 """
 
 from __future__ import annotations

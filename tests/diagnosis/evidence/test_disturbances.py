@@ -61,6 +61,8 @@ def test_a_random_force_is_a_disturbance_of_its_size_and_no_deficiency():
     assert found.share > 0.9  # of an error of some cm beside 2 mm of sensor noise
     assert d.to_json()["disturbances"][0]["std"] == found.std
     assert "an unrecorded random disturbance acts on force" in str(d)
+    assert "Find what acts on force and record it" in d.advice  # not: the model may be used
+    assert "--disturbance force:white" in d.advice
     assert d.noise["force"].startswith("random disturbance, standard deviation")
 
 
@@ -81,6 +83,14 @@ def test_a_disturbance_has_the_unit_that_is_requested_and_a_spectrum_in_words():
     assert "a band 0.2 Hz wide around 1.4 Hz" in narrow.sentence
     assert "most of its power below 1.7 Hz" in replace(narrow, bandwidth=2.0, peak=0.7).sentence
     assert "flat spectrum" in replace(narrow, bandwidth=None, peak=None).sentence
+
+
+def test_a_slow_disturbance_is_told_by_its_period_and_a_daily_one_as_such():
+    sun = Disturbance("wall", 200.0, "W", 0.9, peak=1.3e-5, bandwidth=5e-6)
+    assert "(a period of 21.4 h; once a day" in sun.sentence
+    tide = replace(sun, peak=2.2e-5)
+    assert "(a period of 12.6 h)" in tide.sentence
+    assert "period" not in replace(sun, peak=0.1, bandwidth=0.01).sentence
 
 
 def test_the_law_of_a_state_does_not_have_the_states_unit():
