@@ -140,7 +140,8 @@ class PartialInnovations:
         return self._at(self.whole.transposed(self.whole.whiten(self._spread(z))))
 
     def _near(self, b: Array) -> Array:
-        return np.asarray(cho_solve_banded((self._factor, True), b))
+        """The solution of the banded system; not finite where a simulation has all but diverged."""
+        return np.asarray(cho_solve_banded((self._factor, True), b, check_finite=False))
 
     def _solved(self, b: Array) -> Array:
         """The solution of E' Gamma^-1 E z = b (missing, m), each column by itself."""

@@ -78,6 +78,20 @@ def test_whitened_columns_have_the_inner_products_of_what_there_is(kind: str, ny
     assert partial.log_determinant(N) == pytest.approx(logs, abs=0.02 * N * ny)
 
 
+def test_a_column_of_a_simulation_that_all_but_diverges_is_whitened_to_no_number():
+    """Its squares are beyond all numbers: a search takes that for a step that is too long."""
+    N, rng = 300, np.random.default_rng(5)
+    omega = np.linspace(0.0, np.pi, 2049)
+    partial = PartialInnovations(
+        innovations_of(omega, spectrum(omega, 1), N), gaps("bursts", N, 1, rng)
+    )
+    columns = rng.standard_normal((N, 1, 2))
+    with np.errstate(all="ignore"):
+        white = partial.whiten(columns * [1.0, 1e200])
+    assert np.isfinite(white).all(axis=(0, 1)).tolist() == [True, False]
+    np.testing.assert_allclose(white[:, :, 0], partial.whiten(columns)[:, :, 0], atol=1e-4)
+
+
 @pytest.mark.parametrize("ny", [1, 2])
 def test_a_record_that_lacks_its_ends_is_a_shorter_record(ny: int) -> None:
     """Inner products and determinant are those of the dense covariance of what there is."""
