@@ -153,6 +153,24 @@ def test_an_inertia_that_vanishes_is_refused():
         m.explicit()
 
 
+@pytest.mark.parametrize("size", [1e-15, 1.0, 1e15])
+def test_an_inertia_is_judged_in_whatever_unit_and_rounding_errors_are_none(size):
+    """A volume over the modulus of its oil is 1e-15 m^3/Pa; a sum that cancels leaves as much."""
+    m = Model("cylinder")
+    p = m.state("p", "Pa")
+    q, V, A = m.input("q", "m^3/s"), m.parameter("V", "m^3"), m.parameter("A", "m^3")
+    m.balance(p, "flow", inertia=size * (V + A), terms=[q])
+    m.output("p", p, "Pa")
+    assert m.explicit().states == ("p",)
+    m = Model("no volume")
+    p = m.state("p", "Pa")
+    q, V, A = m.input("q", "m^3/s"), m.parameter("V", "m^3"), m.parameter("A", "m^3")
+    m.balance(p, "flow", inertia=size * ((V + A) / 3 - V / 3 - A / 3), terms=[q])
+    m.output("p", p, "Pa")
+    with pytest.raises(ModelError, match="inertia must not be zero"):
+        m.explicit()
+
+
 def test_a_mistyped_parameter_is_answered_with_the_nearest():
     m = Model("long names")
     m.parameter("stiffness", "N/m")
