@@ -63,9 +63,26 @@ class Refitting:
         best = self._from_declared_starts(at, effect, starts or {}, best)
         if best is None:
             return None
+        best = self._with_more_room(at, best)
         self.attempts.succeeded(name_of(effect))
         size = best.fit.values[best.names[0]] - effect.parameters[0].start
         return None if abs(size) < effect.constants.get("least", 0.0) else best
+
+    def _with_more_room(self, at: Weighted, best: Candidate) -> Candidate:
+        """A delay or lag that ends at the end of what its start left it, with room from there."""
+        effect, name = best.effect, best.names[0]
+        while effect.limit is not None:
+            reached, end = best.fit.values[name], best.model.parameters[name].upper
+            if end >= effect.limit or reached < REFITS.inside * end:
+                break
+            first = {**found_values(best), effect.parameters[0].name: reached}
+            upper = _room(at, effect, reached)
+            on = partial(self._from, at, effect, first, upper, best.fit.values)
+            found = self.attempts.attempt(name_of(effect), on)
+            if found is None or found.gain <= best.gain:
+                break
+            best = found
+        return best
 
     def _from_declared_starts(
         self,
@@ -188,9 +205,7 @@ def _starts(
     at: Weighted, effect: Effect, step: float, *, near: bool = False
 ) -> list[tuple[float, float | None]]:
     """Values of the first parameter to start from, each with its upper bound."""
-    tick = at.criterion.data[0].Ts
-    if effect.parameters[0].unit != "s":  # a gap, beside the corners of which it is nothing
-        tick = effect.constants.get("width", tick)
+    tick = _tick(at, effect)
     if effect.kind in SWITCHED:
         return [(effect.parameters[0].upper, None)]  # an input does the one or the other
     if effect.limit is not None:
@@ -198,10 +213,7 @@ def _starts(
         factors = REFITS.factors if at.noise_absorbs_misfit or abs(step) > tick else (1.0,)
         factors = (1.0,) if near else factors
         grid = {min(max(k * abs(step), REFITS.least_delay * tick), effect.limit) for k in factors}
-        return [
-            (g, min(REFITS.room * g + REFITS.room_samples * tick, effect.limit))
-            for g in sorted(grid)
-        ]
+        return [(g, _room(at, effect, g)) for g in sorted(grid)]
     if near:
         return [(effect.parameters[0].start + step, None)]
     if effect.test == "clip" and effect.variant is not None:
@@ -223,6 +235,18 @@ def _starts(
     if effect.kind == "end_stop":
         return [(null + k * max(step, 0.0), None) for k in REFITS.stiffer]
     return [(null + (step if effect.sided == "both" else max(step, 0.0)), None)]
+
+
+def _room(at: Weighted, effect: Effect, start: float) -> float:
+    """The upper bound of a delay or lag that is searched from a start."""
+    assert effect.limit is not None
+    return min(REFITS.room * start + REFITS.room_samples * _tick(at, effect), effect.limit)
+
+
+def _tick(at: Weighted, effect: Effect) -> float:
+    """The step in which a delay is resolved, of a gap one of the corners beside it."""
+    Ts = at.criterion.data[0].Ts
+    return Ts if effect.parameters[0].unit == "s" else effect.constants.get("width", Ts)
 
 
 def _keep_sign(model: Model, change: str, value: float, effect: Effect) -> None:

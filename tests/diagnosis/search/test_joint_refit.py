@@ -10,8 +10,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import casid
+from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.search.joint_refit import Refitting
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.effects.structure_effects import actuator_lag
 
 TS, INERTIA, GAIN, DAMPING, LAG = 0.01, 0.012, 0.9, 0.02, 0.03  # s, kg m^2, N m, N m s/rad, s
 NOISE = {"angle": math.radians(0.1), "rate": 0.01}  # rad, rad/s
@@ -78,3 +83,31 @@ def test_a_constant_torque_is_named_although_no_parameter_is_determined_without_
 
 def test_nothing_is_found_in_the_flight_of_the_model_itself() -> None:
     assert casid.diagnose(roll_axis(), flight(), advise=False).verdict == "adequate"
+
+
+def test_a_lag_that_is_longer_than_its_start_leaves_room_for_is_found_all_the_same() -> None:
+    """A push that reaches a sledge through a lag of 0.6 s, searched from a twentieth of that."""
+    Ts, N, lag, mass, drag, noise = 0.1, 600, 0.6, 5.0, 2.0, 0.01
+    rng = np.random.default_rng(4)
+    push = np.repeat(rng.uniform(-10, 10, N // 20), 20)
+    A = np.array([[-drag / mass, 1 / mass], [0.0, -1 / lag]])
+    step = expm(np.block([[A, np.array([[0.0], [1 / lag]])], [np.zeros((1, 3))]]) * Ts)
+    x, v = np.array([0.0, push[0]]), np.empty(N)
+    for k in range(N):
+        v[k] = x[0] + noise * rng.standard_normal()
+        x = step[:2, :2] @ x + step[:2, 2] * push[k]
+    m = casid.Model("sledge")
+    F, speed = m.input("F", "N", hold="zoh", known=True), m.state("v", "m/s")
+    d = m.parameter("d", "N s/m", start=1.5, lower=0.0, upper=100.0)
+    inertia = m.parameter("M", "kg", start=4.0, lower=0.1, upper=100.0)
+    m.balance(speed, "force", inertia=inertia, terms=[F, -d * speed])
+    m.output("v", speed, "m/s")
+    record = casid.Record({"F": push, "v": v}, {"F": "N", "v": "m/s"}, Ts=Ts)
+    experiments = [casid.Experiment(record, {}, "push")]
+    weighing = Weighing(experiments)
+    at = weighing.weigh(m, fit_model(m, experiments, FitSettings(starts=1)))
+    effect = actuator_lag(m, "F", longest=3.0)
+    found = Refitting(weighing).refit(at, effect, 0.03, near=True)
+    assert found is not None
+    assert found.fit.values["tau_F"] == pytest.approx(lag, rel=0.05)
+    assert found.fit.solution.at_upper == ()
