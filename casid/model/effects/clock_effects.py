@@ -91,14 +91,15 @@ def at_instant(effect: Effect, model: Model, time: float) -> Effect:
 
 
 def clock_effects_of(model: Model, window: tuple[float, float]) -> Iterator[Effect]:
-    """Steps of forces and of biases, and drifts of biases.
+    """Steps of forces and of biases, and drifts of biases, of outputs and measured inputs.
 
     A knock is none of them: the search puts it in the place of a force that sets in.
     """
     biases = jump_times(window, PARAMETER_JUMPS.times_of_biases)
     for balance in model.balances:
         yield from (offset_step(model, balance, t) for t in jump_times(window))
-    for channel in model.outputs:
+    measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
+    for channel in (*model.outputs, *measured):
         yield from (bias_step(model, channel, t) for t in biases)
         yield bias_drift(model, channel, window)
 

@@ -85,6 +85,16 @@ def test_a_jump_of_a_parameter_sets_in_too():
     assert at_instant(parameter_jump(model, "c", AT), model, 9.0).variant == 9.0
 
 
+def test_a_measured_input_may_get_a_bias_and_a_known_one_has_none():
+    m = cart()
+    push, command = m.input("push", "N"), m.input("command", "N", known=True)
+    m.add_term("force", push + command)
+    found = [(e.where, e.shape) for e in clock_effects_of(m, (0.0, 20.0))]
+    assert found.count(("push", "step")) == PARAMETER_JUMPS.times_of_biases
+    assert found.count(("push", "drift")) == 1
+    assert "command" not in dict(found)
+
+
 def test_every_balance_and_every_output_has_its_instants():
     found = [(e.kind, e.shape) for e in clock_effects_of(cart(), (0.0, 20.0))]
     assert found.count(("offset", "step")) == PARAMETER_JUMPS.times
