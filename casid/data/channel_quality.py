@@ -403,7 +403,7 @@ def _noise_and_band(
     if own.size == record.N or gaps_of(mask).rate is not None:
         return _spectrum(shifted, interval)
     even = np.linspace(own[0], own[-1], own.size)
-    noise = _noise_between(own * record.Ts, kept)
+    noise = _noise_between(record.t[own], kept)
     return _spectrum(np.interp(even, own, shifted), interval, noise)
 
 
