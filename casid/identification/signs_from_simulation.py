@@ -151,11 +151,7 @@ def wrong_sign(
     inputs = [n for n, u in model.inputs.items() if u.kind == "measured"]
     if any(all(_rests(e.record, n) for e in experiments) for n in inputs):
         return None
-    channels = [
-        n
-        for n in (*model.outputs, *inputs)
-        if all(n in e.record and not _is_absolute(e.record, n) for e in experiments)
-    ]
+    channels = [n for n in (*model.outputs, *inputs) if _may_be_turned(experiments, n)]
     short = [_most_excited(e, tuple(model.outputs)) for e in experiments]
     quick = quick_settings(settings)
     recorded = _fitted(model, short, quick)
@@ -261,6 +257,11 @@ def _depends(record: Record, reference: str, outputs: Sequence[str]) -> bool:
 
 def _rests(record: Record, channel: str) -> bool:
     return channel in record and float(np.ptp(record[channel])) == 0.0
+
+
+def _may_be_turned(experiments: Sequence[Experiment], channel: str) -> bool:
+    """Whether every record has a channel, and it may have the wrong sign."""
+    return all(channel in e.record and not _is_absolute(e.record, channel) for e in experiments)
 
 
 def _is_absolute(record: Record, channel: str) -> bool:
