@@ -157,8 +157,7 @@ def channel_quality(
         findings += _wrapped(record, name)
     drift, trend = _trend(record, name, shown)
     findings += trend
-    interval = record.Ts * float(own[-1] - own[0]) / max(own.size - 1, 1)
-    noise, bandwidth, reaches = _spectrum(x[own] - mean, interval)
+    noise, bandwidth, reaches = _noise_and_band(record, name, own)
     if step is not None and step > (high - low) / 200 and not (few or step < (noise or 0.0)):
         findings.append(_coarse(name, shown, step, high - low))
     if reaches and not few:
@@ -189,12 +188,13 @@ def _equal_samples(
     # The top of a rounded parabola is flat too, but the levels below it hold for 0.2 of its width.
     sudden = beside <= max(1.0, 0.1 * plateau)
     findings = []
-    if plateau >= 4 and not few and sudden and (step is None or jump > 1.5 * step):
-        value = x[plateau_start]
-        is_rest = value == 0.0 == x[~mask].min()  # no sun, no flow: more often so than cut off
+    value = x[plateau_start]
+    # At zero no sun shines and no heater heats: the quantity ends there, not the sensor's range.
+    is_cut_off = sudden and value != 0.0 and (step is None or jump > 1.5 * step)
+    if plateau >= 4 and not few and is_cut_off:
         findings.append(
             Finding(
-                "note" if is_rest else "warning",
+                "warning",
                 name,
                 f"{plateau} equal samples at the "
                 f"{'maximum' if value == x[~mask].max() else 'minimum'} "
@@ -227,17 +227,8 @@ def _some_missing(record: Record, name: str) -> Finding:
             "An output counts at its own instants; an input is held or joined between them, as "
             "the model declares.",
         )
-    steps = np.diff(np.flatnonzero(~record.is_missing(name)))
-    if gaps.missing > record.N // 2 and steps.size and steps.max() <= OWN_CLOCK * np.median(steps):
-        return Finding(
-            "note",
-            name,
-            f"a clock of its own: {steps.size + 1} samples, {record.Ts * steps.min():.4g} to "
-            f"{record.Ts * steps.max():.4g} s apart, {record.Ts * np.median(steps):.4g} s as a "
-            "rule.",
-            "An output counts at its own instants; an input is held or joined between them, as "
-            "the model declares.",
-        )
+    if gaps.missing > record.N // 2 and gaps.missing < record.N - 1:
+        return _own_clock(record, name)
     return Finding(
         "note",
         name,
@@ -248,6 +239,32 @@ def _some_missing(record: Record, name: str) -> Finding:
         "holds it, at long ones the record is cut. Instruments need a complete stretch: select it "
         "with a window.",
     )
+
+
+def _own_clock(record: Record, name: str) -> Finding:
+    """The instants of a channel that has a value in few rows, at uneven distances."""
+    there = np.flatnonzero(~record.is_missing(name))
+    steps = np.diff(there)
+    usual = float(np.median(steps))
+    (gaps,) = np.nonzero(steps > OWN_CLOCK * usual)
+    text = (
+        f"a clock of its own: {there.size} samples, {record.Ts * steps.min():.4g} to "
+        f"{record.Ts * steps.max():.4g} s apart, {record.Ts * usual:.4g} s as a rule"
+    )
+    remedy = (
+        "An output counts at its own instants; an input is held or joined between them, as the "
+        "model declares"
+    )
+    if gaps.size:
+        gone = round(float(np.sum(steps[gaps] / usual - 1)))
+        at = there[int(np.argmax(steps))]
+        text += (
+            f"; about {gone} ({100 * gone / (there.size + gone):.2g} %) are missing in "
+            f"{count_text(gaps.size, 'gap')}, the longest of {record.Ts * steps.max():.4g} s from "
+            f"t = {record.t[at]:.6g} s"
+        )
+        remedy += "; at long gaps of an input the record is cut"
+    return Finding("note", name, f"{text}.", f"{remedy}.")
 
 
 def _wide_band(name: str) -> Finding:
@@ -375,8 +392,49 @@ def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
     return np.flatnonzero((off > bar) & alone & ~mask)
 
 
-def _spectrum(x: FloatArray, Ts: float) -> tuple[float | None, float | None, bool]:
-    """Return noise (white, as dense as the highest fifth), bandwidth [Hz], and whether it falls."""
+def _noise_and_band(
+    record: Record, name: str, own: NDArray[np.intp]
+) -> tuple[float | None, float | None, bool]:
+    """As `_spectrum`, of the samples `own`, which count at their own instants."""
+    mask = record.is_missing(name)
+    kept = np.asarray(record.filled(name)[own], dtype=np.float64)
+    shifted = kept - float(record[name][~mask].mean())
+    interval = record.Ts * float(own[-1] - own[0]) / max(own.size - 1, 1)
+    if own.size == record.N or gaps_of(mask).rate is not None:
+        return _spectrum(shifted, interval)
+    even = np.linspace(own[0], own[-1], own.size)
+    noise = _noise_between(record.t[own], kept)
+    return _spectrum(np.interp(even, own, shifted), interval, noise)
+
+
+def _noise_between(t: FloatArray, x: FloatArray) -> float | None:
+    """Standard deviation of noise, from what each sample is off the cubic through its four
+    neighbours at their own instants `t`; None for too few, and without any.
+
+    The largest 5 % are left out, as spikes and gaps are among them: 0.759 of the variance of
+    normal deviates is left.
+    """
+    if x.size < 64:
+        return None
+    beside = np.array([0, 1, 3, 4])
+    times = np.lib.stride_tricks.sliding_window_view(t, 5)
+    near = times[:, beside] - times[:, 2:3]
+    weights = np.ones_like(near)
+    for j, k in np.argwhere(~np.eye(4, dtype=bool)):
+        weights[:, j] *= near[:, k] / (near[:, k] - near[:, j])
+    values = np.lib.stride_tricks.sliding_window_view(x, 5)
+    off = values[:, 2] - (weights * values[:, beside]).sum(axis=1)
+    off /= np.sqrt(1 + (weights**2).sum(axis=1))
+    kept = np.abs(off) <= np.quantile(np.abs(off), 0.95)
+    noise = float(np.sqrt(np.mean(off[kept] ** 2) / 0.759))
+    return noise if noise > 1e-9 * float(np.abs(x).max()) else None  # else rounding alone
+
+
+def _spectrum(
+    x: FloatArray, Ts: float, noise: float | None = None
+) -> tuple[float | None, float | None, bool]:
+    """Return noise (`noise`, or white, as dense as the highest fifth), bandwidth [Hz], and whether
+    it falls."""
     if x.size < 64:
         return None, None, False
     from scipy.signal import welch
@@ -384,7 +442,7 @@ def _spectrum(x: FloatArray, Ts: float) -> tuple[float | None, float | None, boo
     nperseg = int(np.clip(2 ** int(np.log2(x.size / 8)), 32, 4096))
     f, S = welch(x, fs=1 / Ts, nperseg=nperseg, detrend="constant")
     top = (f >= 0.8 * f[-1]) & (f < f[-1])
-    floor = float(np.median(S[top]))
+    floor = float(np.median(S[top])) if noise is None else 2 * noise**2 * Ts
     above = np.flatnonzero(S[1:] > 4 * floor) + 1
     bandwidth = float(f[above[-1]]) if above.size else 0.0
     return float(np.sqrt(floor * 0.5 / Ts)), bandwidth, bool(floor > 0.1 * S[1:].mean())

@@ -310,7 +310,7 @@ class Problem(Viewed):
     ) -> Unused:
         """The columns that the problem does not use."""
         try:
-            _, clock = resolve(table, {}, self.time)
+            _, clock = resolve(table, specs, self.time)
         except DataError:  # refused as the file is read
             return Unused({}, {})
         model = self.model

@@ -188,6 +188,7 @@ class _Read:
 
 def _read(found: Survey) -> _Read:
     faults = [Finding("error", f.column, f.text, f.remedy) for f in found.faults]
+    faults += [Finding("warning", f.column, f.text, f.remedy) for f in found.doubts]
     faults += [Finding("note", None, f"{note}.", "") for note in found.notes]
     name = found.record.name if found.record else found.path.name
     return _Read(found.record, name, found.times, tuple(faults), found.units)

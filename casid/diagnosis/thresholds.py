@@ -627,6 +627,12 @@ _DESCRIPTION = f"{TESTS}/unexplained/test_description.py"
 class Description:
     """The description of what was found, and of a misfit outside the catalogue."""
 
+    as_well: float = _is(
+        2.0,
+        "of BIC, up to which an alternative is said to explain the misfit as well",
+        f"{TESTS}/verdict/test_sentences.py",
+        'Kass and Raftery (1995): "not worth more than a bare mention"',
+    )
     apart: float = _is(
         12.0,
         "squares by which a place must explain more than another to be named alone: six units of "

@@ -38,6 +38,7 @@ class Estimated:
     note: str = ""
     ends: tuple[float, float] | None = None  # of an interval that is not normal
     interval_kind: str = "quick"  # normal; or "profile", "bootstrap", whose ends stand in `ends`
+    resolution: float | None = None  # of an instant [s] that is searched for
 
     @property
     def interval(self) -> tuple[float, float] | None:

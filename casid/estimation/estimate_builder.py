@@ -24,7 +24,7 @@ from casid.estimation.estimate import (
 )
 from casid.estimation.fit_statistics import nrmse_fit, poor_fit_text, rms
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.estimation.local_rank import LocalRank, describe_null, local_rank
+from casid.estimation.local_rank import LocalRank, describe_null, rank_of
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.unknowns import Variable
 from casid.model.model import Model
@@ -114,12 +114,11 @@ class EstimateBuilder:
         covariance : (n, n) where it is not the robust one of a minimum.
         """
         names = tuple(v.name for v in criterion.variables)
-        scale = np.array([v.scale for v in criterion.variables])
         lags = 0
         if covariance is None:
             scores, tied = criterion.scores(solution.x), solution.constraint_jacobian
             covariance, lags = sandwich(solution.hessian, scores, solution.is_free, tied)
-        rank = local_rank(solution.hessian, solution.x, names, scale)
+        rank = rank_of(criterion.variables, solution.hessian, solution.x)
         undetermined = {n for direction in rank.null for n in direction}
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
         for v, row, error in zip(criterion.variables, rows, sd, strict=True):

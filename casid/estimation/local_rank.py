@@ -13,6 +13,7 @@ from fractions import Fraction
 import numpy as np
 
 from casid.arrays import TINY, Array, require_finite
+from casid.estimation.unknowns import Variable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +58,13 @@ def local_rank(hessian: Array, x: Array, names: Sequence[str], scale: Array) -> 
                     }
                 )
     return LocalRank(len(x) - len(null), len(x), smallest, tuple(null))
+
+
+def rank_of(variables: Sequence[Variable], hessian: Array, x: Array) -> LocalRank:
+    """`local_rank` of the unknowns; one that its bounds fix is known, as a switched-on blend is."""
+    free = [i for i, v in enumerate(variables) if v.lower < v.upper]
+    names, scale = [variables[i].name for i in free], [variables[i].scale for i in free]
+    return local_rank(hessian[np.ix_(free, free)], x[free], names, np.array(scale))
 
 
 def describe_null(rank: LocalRank) -> str:

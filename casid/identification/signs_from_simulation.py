@@ -8,6 +8,10 @@ errors of the two fits are compared by Diebold and Mariano's (1995) test, with a
 number of channels (Bonferroni). Half the power is a heuristic: a channel that matters, taken the
 wrong way round, costs far more.
 
+A sign that is wrong explains the misfit: with it corrected the model has to miss less than the
+outputs' means do. A flip that only makes a hopeless fit less bad is none. An absolute temperature
+cannot have a wrong sign at all.
+
 Where noise makes most of what the simulation misses, either sign misses by as much. Then an input
 that no noise reaches distinguishes them, by the moments of instruments made of it
 (`signs_from_moments`).
@@ -147,7 +151,7 @@ def wrong_sign(
     inputs = [n for n, u in model.inputs.items() if u.kind == "measured"]
     if any(all(_rests(e.record, n) for e in experiments) for n in inputs):
         return None
-    channels = [n for n in (*model.outputs, *inputs) if all(n in e.record for e in experiments)]
+    channels = [n for n in (*model.outputs, *inputs) if _may_be_turned(experiments, n)]
     short = [_most_excited(e, tuple(model.outputs)) for e in experiments]
     quick = quick_settings(settings)
     recorded = _fitted(model, short, quick)
@@ -172,7 +176,7 @@ def wrong_sign(
         return _by_reference(problem, experiments, found, before, worse, alpha)
     fit = found[best]
     assert fit is not None
-    if not _rises(fit):
+    if not (_rises(fit) and _is_better_than_the_mean(fit)):
         return None
     better = {c: s for c, s in squares.items() if s.sum() < CLEARLY * reference.sum()}
     same = {c: min(1.0, 2.0 * better_by_chance(s - error)) for c, s in better.items() if c != best}
@@ -207,6 +211,8 @@ def _by_reference(
             return None
         fit = fits.get(named.channel)
         if named.ratio**2 >= CLEARLY or named.channel in worse or fit is None:
+            return None
+        if not _is_better_than_the_mean(fit):
             return None
         return WrongSign(
             channel=named.channel,
@@ -251,6 +257,31 @@ def _depends(record: Record, reference: str, outputs: Sequence[str]) -> bool:
 
 def _rests(record: Record, channel: str) -> bool:
     return channel in record and float(np.ptp(record[channel])) == 0.0
+
+
+def _may_be_turned(experiments: Sequence[Experiment], channel: str) -> bool:
+    """Whether every record has a channel, and it may have the wrong sign."""
+    return all(channel in e.record and not _is_absolute(e.record, channel) for e in experiments)
+
+
+def _is_absolute(record: Record, channel: str) -> bool:
+    """Whether a channel is a temperature above absolute zero, not the difference of two."""
+    if record.units[channel] != "K":
+        return False
+    kept = record.filled(channel)[~record.is_missing(channel)]
+    return bool(kept.size and kept.min() > np.ptp(kept))
+
+
+def _is_better_than_the_mean(fit: Fit) -> bool:
+    """True if the weighted squared errors are less than those of each output's mean."""
+    c = fit.criterion
+    total = 0.0
+    for d in c.data:
+        for i in range(len(c.outputs)):
+            y = d.y[d.used[:, i], i]
+            weights = np.broadcast_to(c.weights, d.y.shape)[d.used[:, i], i]
+            total += float(np.sum((weights * (y - y.mean())) ** 2)) if y.size else 0.0
+    return _sum(_squares(fit)) < total
 
 
 def _rises(fit: Fit) -> bool:

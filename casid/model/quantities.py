@@ -68,6 +68,18 @@ def span_text(start: float, stop: float) -> str:
     return f"{start:.{places}f} to {stop:.{places}f} s"
 
 
+def instant_text(seconds: float, resolution: float) -> str:
+    """An instant [s] to within `resolution`: 30.4 h to within 300 s, 27.99 s to within 10 ms.
+
+    In minutes, hours or days where two decimals show what is resolved.
+    """
+    scale, shown = common_prefix([seconds], "s")
+    if resolution / scale < 10**-2.5:  # a third decimal
+        scale, shown = 1.0, "s"
+    places = min(max(0, round(-math.log10(resolution / scale))), 9)
+    return f"{seconds / scale:.{places}f} {shown}"
+
+
 def percent_text(value: float) -> str:
     """A percentage with two digits, or all of those before the point: 0.76 %, 12 %, 150 %."""
     return f"{value:.0f} %" if abs(value) >= 10 else f"{value:.2g} %"

@@ -113,6 +113,7 @@ def _terms(text: str) -> _Terms:
         cleaned = ALIASES[cleaned]
     if cleaned in NAMES:
         return [(cleaned, Fraction(1))]
+    cleaned = _with_grams(cleaned)
 
     reader = _UnitReader(text)
     position = 0
@@ -127,6 +128,12 @@ def _terms(text: str) -> _Terms:
     if reader.is_in_brackets or reader.expects_factor:
         raise _malformed(text, cleaned[-1:] or cleaned)
     return reader.terms
+
+
+def _with_grams(text: str) -> str:
+    """A quotient such as `g/(l h)` with `gram` for `g`, where `g/l` alone is grams by the list."""
+    quotient = re.fullmatch(r"g\s*/\s*(?:\(\s*)?([^\s*/()·⋅]+).*", text)
+    return f"gram{text[1:]}" if quotient and f"g/{quotient[1]}" in ALIASES else text
 
 
 class _UnitReader:
@@ -207,8 +214,12 @@ def _lookup(name: str, text: str) -> str:
 
 
 def _ambiguous(text: str, name: str) -> UnitError:
+    first = AMBIGUOUS[name].split(" (")[0]
+    example = re.sub(rf"(?<![A-Za-z]){name}(?![\w])", first, text)
+    is_part = text.strip() != name and first in NAMES
     return UnitError(
-        f"unit {text!r} is ambiguous: {name!r} may mean {AMBIGUOUS[name]}. Write which."
+        f"unit {text!r} is ambiguous: {name!r} may mean {AMBIGUOUS[name]}. Write which"
+        + (f", as in {example!r}." if is_part else ".")
     )
 
 

@@ -321,7 +321,7 @@ BAD_OPTIONS: dict[str, tuple[list[str], list[str]]] = {
     "ambiguous unit": (["--map", "position=position:mil"], ["mil"]),
     "unknown unit": (["--map", "position=position:metrs"], ["metrs"]),
     "no such signal": (["--map", "positon=position"], ["'positon'", "did you mean 'position'?"]),
-    "no such column": (["--map", "position=forze"], ["'forze'", "Did you mean 'force'?"]),
+    "no such column": (["--map", "force=forze"], ["'forze'", "Did you mean 'force'?"]),
     "not a mapping": (["--map", "position"], ["signal=column", "--map phi=roll:deg"]),
     "mapped twice": (
         ["--map", "force=force", "--map", "force=position"],

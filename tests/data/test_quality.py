@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -84,10 +85,31 @@ def test_steps_below_the_noise_are_no_coarse_quantisation():
     assert not any("coarsely quantised" in t for t in texts(report))
 
 
-def test_rest_at_zero_is_noted_and_any_other_plateau_warned_of():
-    sun = np.clip(smooth(), 0.0, None)
-    for y, severity in ((sun, "note"), (sun + 1.0, "warning")):
-        assert {f.severity for f in check(record(y)).findings if "clipped" in f.text} == {severity}
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rest_at_zero_is_no_clipping_but_any_other_plateau_is(sign):
+    sun = sign * np.clip(smooth(), 0.0, None)
+    assert not any("clipped" in t for t in texts(check(record(sun))))
+    assert any("equal samples in a row" in t for t in texts(check(record(sun))))
+    found = check(record(sun + 1.0)).findings
+    assert {f.severity for f in found if "clipped" in f.text} == {"warning"}
+
+
+def test_an_irregular_clock_is_judged_by_its_own_samples(tmp_path):
+    """Stamps of 0.1 s +- 30 ms; taken as even they would make noise of 3 % of the wave."""
+    rng = np.random.default_rng(6)
+    t = np.round(0.1 * np.arange(3000) + rng.uniform(-0.03, 0.03, 3000), 3)
+    y = 60 * np.sin(2 * np.pi * 0.15 * t) + 0.5 * rng.standard_normal(3000)
+    kept = np.ones(3000, dtype=bool)
+    kept[1000:1030] = False
+    lines = [f"{a:.3f},{b:.4f}" for a, b in zip(t[kept] - t[0], y[kept], strict=True)]
+    path = tmp_path / "buoy.csv"
+    path.write_text("\n".join(["t,y", *lines]) + "\n")
+    report = check(path)
+    assert report.channels[0].noise == pytest.approx(0.5, rel=0.5)
+    assert report.channels[0].bandwidth_hz < 1.0
+    (text,) = [t for t in texts(report) if "a clock of its own" in t]
+    assert re.search(r"2970 samples.* about (29|30|31) \(1 %\) are missing in 1 gap, .* 3\.", text)
+    assert not any(word in t for t in texts(report) for word in ("stretch", "does not fall"))
 
 
 def test_continuous_samples_have_no_step():

@@ -88,6 +88,35 @@ def test_signs_that_the_model_does_not_see_are_not_suspected() -> None:
         assert suspected(roll_decay.problem, negated(records, channel)) is None
 
 
+def heated_room(unit: str) -> tuple[casid.Problem, list[casid.Experiment]]:
+    """A room whose model has 60 times the heat, so that no sign explains the record."""
+    m = casid.Model("room")
+    outside, P = m.input("T_out", unit), m.input("P", "W", hold="zoh")
+    T = m.state("T", unit)
+    C = m.parameter("C", "kJ/K", start=900, lower=50, upper=2000)
+    H = m.parameter("H", "W/K", start=40, lower=5, upper=500)
+    m.balance(T, "air", inertia=C, terms=[60 * P, -H * (T - outside)])
+    m.output("T", T, unit)
+    zero = 273.15 if unit == "degC" else 0.0
+    out = zero + 4 + 4 * np.sin(2 * np.pi * np.arange(400) / 144)
+    heat = 1500.0 * (np.arange(400) // 20 % 2)
+    inside = np.full(400, zero + 18.0)
+    for k in range(399):
+        inside[k + 1] = inside[k] + 600 / 900e3 * (heat[k] - 40 * (inside[k] - out[k]))
+    inside += 0.05 * np.random.default_rng(1).standard_normal(400)
+    channels = {"T": (inside, "K"), "T_out": (out, "K"), "P": (heat, "W")}
+    units = {name: unit for name, (_, unit) in channels.items()}
+    record = casid.Record({n: x for n, (x, _) in channels.items()}, units, Ts=600.0, name="room")
+    return casid.Problem("room", m), [casid.Experiment(record, {}, "run")]
+
+
+@pytest.mark.parametrize("unit", ["degC", "K"])
+def test_no_sign_is_suspected_of_a_temperature_or_where_none_explains_the_misfit(unit: str) -> None:
+    """Negated, T_out lowers the rms error from 89 K to 74 K; the record's own spread is 3.6 K."""
+    problem, records = heated_room(unit)
+    assert wrong_sign(problem, records, ONE) is None
+
+
 def test_the_comparison_of_errors_has_its_level() -> None:
     """Equal errors: one-sided 5 % in 400 draws, within 3.5 binomial standard deviations (3.8 %)."""
     rng = np.random.default_rng(5)

@@ -120,11 +120,17 @@ def test_the_readings_of_a_name_that_is_refused_are_names_of_the_list(text, fact
 @pytest.mark.parametrize(
     ("text", "value", "si"),
     [("g/L", 1.0, "kg/m^3"), ("g/cm^3", 1000.0, "kg/m^3"), ("g/mol", 1e-3, "kg/mol"),
-     ("g/h", 1e-3 / 3600.0, "kg/s"), ("lb/min", 0.45359237 / 60.0, "kg/s")],
+     ("g/h", 1e-3 / 3600.0, "kg/s"), ("lb/min", 0.45359237 / 60.0, "kg/s"),
+     ("g/(l h)", 1.0 / 3600.0, "kg/(m^3 s)"), ("g / L/h", 1.0 / 3600.0, "kg/(m^3 s)")],
 )  # fmt: skip
 def test_a_quotient_says_which_of_two_readings_it_is(text, value, si):
     assert to_si(1.0, text) == pytest.approx(value)
     assert same_dimension(text, si)
+
+
+def test_a_quotient_that_leaves_a_reading_open_is_refused_with_an_example_to_copy():
+    with pytest.raises(UnitError, match=r"Write which, as in 'gram/\(m\^2 h\)'\."):
+        parse_unit("g/(m^2 h)")
 
 
 def test_a_quotient_with_two_readings_is_refused_with_both_ways_of_writing_it():

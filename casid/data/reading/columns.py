@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from casid.data.reading.header_units import (
     HeaderUnit,
     header_unit,
@@ -68,6 +70,22 @@ def unit_of_column(table: Table, column: str) -> HeaderUnit | None:
     return header_unit(re.sub(r"#\d+$", "", column))
 
 
+def stated_otherwise(table: Table, spec: ColumnSpec) -> HeaderUnit | None:
+    """The unit that the file names for a column, where it converts in another way than the one
+    that is given; None for the same in another spelling, and for a mere ending that measures
+    another quantity."""
+    if spec.origin != "given" or not spec.unit or spec.unit in CLOCK_FORMATS:
+        return None
+    found = unit_of_column(table, spec.column)
+    if found is None or found.unit is None or found.text.strip(" -") == "":
+        return None
+    stated, given = parse_unit(found.unit), parse_unit(spec.unit)
+    if stated.dimension != given.dimension:
+        return found if found.is_sure else None
+    alike = np.isclose([stated.factor, stated.offset], [given.factor, given.offset], rtol=1e-9)
+    return None if alike.all() else found
+
+
 def resolve(
     table: Table, columns: Columns | None, time: Time
 ) -> tuple[dict[str, ColumnSpec], ColumnSpec | None]:
@@ -79,8 +97,10 @@ def resolve(
         specs = {c: ColumnSpec(c) for c in named}
     else:
         specs = as_headed(table.columns, {name: _spec(v) for name, v in columns.items()})
+        clocks = {c for c in table.columns if is_time_name(table, c)}
+        taken = {spec.column for spec in specs.values()} | ({clock.column} if clock else set())
         for name, spec in specs.items():
-            table.require(spec.column, name)
+            table.require(spec.column, name, taken | clocks)
     return {name: _with_unit(table, name, spec) for name, spec in specs.items()}, clock
 
 

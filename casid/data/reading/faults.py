@@ -28,7 +28,7 @@ class Fault:
     detail: str = ""
 
     def __str__(self) -> str:
-        return f"{self.text} {self.remedy}"
+        return f"{self.text} {self.remedy}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +66,7 @@ class Survey:
     columns : every column of the file, in order; empty where the file is no table.
     clock : name of the time column; None where there is none.
     notes : what was read and how, where it is not plain: time stamps, lines that are not read ...
+    doubts : what keeps no record from being read, but may be a mistake.
     units : channel -> the unit in which the file has it.
     """
 
@@ -76,6 +77,7 @@ class Survey:
     columns: tuple[ColumnSurvey, ...] = ()
     clock: str | None = None
     notes: list[str] = field(default_factory=list)
+    doubts: list[Fault] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)
 
     def with_fault(self, fault: Fault) -> Survey:

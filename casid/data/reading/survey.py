@@ -21,7 +21,14 @@ from casid.data.reading.clocks import (
     window_rows,
 )
 from casid.data.reading.column_survey import column_surveys
-from casid.data.reading.columns import Columns, ColumnSpec, Time, resolve, time_unit
+from casid.data.reading.columns import (
+    Columns,
+    ColumnSpec,
+    Time,
+    resolve,
+    stated_otherwise,
+    time_unit,
+)
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.opening import open_table
@@ -112,7 +119,8 @@ def survey(
             rows = rows[inside]
             steps.append(f"window {_window_text(window)} s: {rows.size} samples")
     channels = _channels(opened, rows, found, steps, options, skip_text=columns is None)
-    steps += [f"remark: {note}" for note in found.notes]
+    _compare_units(opened, found)
+    steps += [f"remark: {note}" for note in (*found.notes, *found.doubts)]
     clock = _with_absent_rows(found, channels, options)
     if found.times is None or not (clock or _is_even(opened, rows, found, resample)):
         return found
@@ -162,6 +170,30 @@ def _opened(
         kind = "unit" if isinstance(error, UnitError) else "file"
         found.with_fault(Fault(kind, str(error), ""))
         return None
+
+
+def _compare_units(opened: _Opened, found: Survey) -> None:
+    """Note every unit that is given and is not the one that the file states."""
+    clock = {} if opened.clock is None else {"t": opened.clock}
+    for channel, spec in (opened.specs | clock).items():
+        stated = stated_otherwise(opened.table, spec)
+        if stated is None or stated.unit is None or spec.unit is None:
+            continue
+        text = (
+            f"column {spec.column!r} is read in {spec.unit}, the unit given, though "
+            f"{'the file states' if stated.is_sure else 'its name ends with'} {stated.text}"
+        )
+        one, other = parse_unit(spec.unit), parse_unit(stated.unit)
+        if one.dimension == other.dimension and one.offset == other.offset:
+            text += f": its numbers count {one.factor / other.factor:.6g} times as much"
+        remedy = (
+            f"Leave the unit out, as in --map '{channel}={spec.column}', to read it in "
+            f"{stated.text}; keep it where the file is wrong."
+        )
+        if stated.is_sure:
+            found.doubts.append(Fault("unit", f"{text}.", remedy, channel))
+        else:
+            found.notes.append(f"{channel}: {text}. {remedy.rstrip('.')}")
 
 
 def _read_clock(opened: _Opened, found: Survey, steps: list[str], *, is_chosen: bool) -> None:

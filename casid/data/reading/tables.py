@@ -6,7 +6,7 @@ import difflib
 import re
 import shlex
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,8 +93,8 @@ class Table(ABC):
         """Say where a row stands, from 1."""
         return f"row {row + 1}"
 
-    def require(self, column: str, what: str) -> None:
-        """Refuse a column that is not there, or there twice, naming the nearest."""
+    def require(self, column: str, what: str, taken: Collection[str] = ()) -> None:
+        """Refuse a column that is not there, or there twice, naming the nearest not `taken`."""
         if column in self.columns:
             return
         if column in self.twice:
@@ -103,16 +103,16 @@ class Table(ABC):
                 f"its own name in the header, or map one by its number, as in --map "
                 f"{what}={self.twice[column][0]} (there are {', '.join(self.twice[column])})."
             )
-        folded = {c.casefold(): c for c in self.columns}
+        folded = {c.casefold(): c for c in self.columns if c not in taken}
         name = column.casefold()
         near = [c for c in folded if re.fullmatch(rf"{re.escape(name)}\s*[\[(/].*", c)]
-        near = near or difflib.get_close_matches(name, list(folded), n=1, cutoff=0.4)
-        option = f"{what}={folded[near[0]] if near else self.columns[-1]}"
+        near = near or difflib.get_close_matches(name, list(folded), n=1, cutoff=0.6)
+        option = shlex.quote(f"{what}={folded[near[0]]}") if near else f"{what}=COLUMN"
         raise DataError(
             f"{self.path.name}: no column {column!r} for {what}. "
             + (f"Did you mean {folded[near[0]]!r}? " if near else "")
             + f"The file holds {', '.join(self.columns)}. "
-            f"Map the channel to one of them, as in --map {shlex.quote(option)}."
+            f"Map the channel to one of them, as in --map {option}."
         )
 
 

@@ -166,7 +166,8 @@ def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> s
     """
     if not (fit.solution.is_converged or at.fit.solution.is_converged):
         return (
-            f"the model as it is could not be fitted ({fit.solution.ending}): {fit.solution.remedy}"
+            f"the model as it is was not fitted to its minimum ({fit.solution.ending}); its errors "
+            f"are those where the fit stopped: {fit.solution.remedy}"
         )
     wrong = error_over_noise(fit, at.noise)
     if wrong < SUFFICIENCY.misfit or not _none_is_known(at, std_error):

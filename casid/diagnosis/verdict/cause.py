@@ -11,6 +11,9 @@ from casid.estimation.estimate import Estimated
 from casid.model.effects.names import effect_words
 from casid.model.units import parse_unit, si_unit
 
+NOT_ACCEPTED = "is significant but was not accepted"
+"""What a note says of an effect that was refused; its name stands before it."""
+
 Verdict = Literal["adequate", "deficient", "undecided"]
 
 
@@ -38,6 +41,11 @@ class Alternative:
             like = f" {what}" if what != self.description else f" ({what})"
             return f"{effect_words(self.kind, self.where)}{like}"
         return effect_words(self.kind, self.where)
+
+    @property
+    def is_as_likely(self) -> bool:
+        """True where no test speaks for the named one: a p-value of at least one half."""
+        return self.p_value >= 0.5
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` has it."""

@@ -24,6 +24,7 @@ from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
 from casid.model.effects.effect import SWITCHED, Effect
+from casid.model.quantities import instant_text, quantity_text
 
 
 def causes_of(
@@ -165,7 +166,9 @@ def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated,
         blend, note = candidate.names[0], "not estimated: either present or absent"
         rows = [replace(p, note=note) if p.name == blend else p for p in rows]
     if candidate.effect.sets_in and candidate.effect.variant is not None:
-        rows.append(Estimated("time", candidate.effect.variant, "s", note="searched"))
+        when, Ts = candidate.effect.variant, min(d.Ts for d in candidate.fit.criterion.data)
+        note = f"searched, to within {quantity_text(Ts, 's')}: {instant_text(when, Ts)}"
+        rows.append(Estimated("time", when, "s", note=note, resolution=Ts))
     return tuple(rows)
 
 

@@ -12,8 +12,9 @@ from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
+from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.findings import Findings
-from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
+from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Cause, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
 from casid.diagnosis.verdict.error_bars import bars_of
 from casid.diagnosis.verdict.extended_model import extended_model
@@ -246,9 +247,12 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         "not an input of its own"
         for channel in search.references or ()
     ]
-    notes += [
-        f"{effect_words(c.effect.kind, c.effect.where)} is significant but was not accepted: {why}"
-        for c, why in search.refused
-    ]
+    notes += refusal_notes(search.refused)
     notes += [why for why in search.refitting.left_out.values() if why]
     return (*notes, *search.attempts.notes())
+
+
+def refusal_notes(refused: Sequence[tuple[Candidate, str]]) -> list[str]:
+    """A note on each effect that was refused, with the reason of the last round."""
+    reasons = {effect_words(c.effect.kind, c.effect.where): why for c, why in refused}
+    return [f"{words} {NOT_ACCEPTED}: {why}" for words, why in reasons.items()]

@@ -173,7 +173,9 @@ def why_alternative(best: Candidate, other: Candidate) -> str:
     as_one = as_one if other.effect.kind in ("offset", "sensor_bias") else ""
     if by == "0.0":
         return f"{as_one}explains the misfit equally well"
-    return f"{as_one}explains the misfit as well (BIC {by} {'worse' if gap >= 0 else 'better'})"
+    word = "worse" if gap >= 0 else "better"
+    how = "as well" if abs(gap) <= DESCRIPTION.as_well else word
+    return f"{as_one}explains the misfit {how} (BIC {by} {word})"
 
 
 def verdict_sentence(

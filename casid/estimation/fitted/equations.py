@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import html
+import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 
 from casid.errors import ModelError
+from casid.model.clock_signals import Always, TimeSince
 from casid.model.declarations import Hold, Input
 from casid.model.formula_text import formula_text, summands
 from casid.model.model import Model
@@ -30,6 +32,7 @@ _STAGES = {
 
 
 _LONG = re.compile(r"\d+\.\d{6,}(?:e[-+]\d+)?")  # numbers of more digits than a reader wants
+_TURN = re.compile(r"(?<![\w.])6\.28318530717\d+(?![\w.^])")  # rad in a turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,9 +149,10 @@ def equations_of(model: Model, baseline: Model | None = None) -> ModelEquations:
 
 
 def _equations(model: Model) -> Iterator[ModelEquation]:
+    read = _with_the_time(model)
     for state, expression in model._rates.items():
         equation = _equation(
-            f"d{state}/dt", f"d{state}/dt", rf"\dot{{{_symbol(state)}}}", [expression]
+            f"d{state}/dt", f"d{state}/dt", rf"\dot{{{_symbol(state)}}}", [read(expression)]
         )
         yield replace(equation, left_mathml=_rate_mathml(state))
     for b in model.balances.values():
@@ -158,17 +162,17 @@ def _equations(model: Model) -> Iterator[ModelEquation]:
         left = rate if is_one else f"({inertia}) {rate}"
         bracketed = latex if ca.SX(b.inertia).is_leaf() else rf"\left({latex}\right)"
         equation = _equation(
-            b.name, left, dot if is_one else rf"{bracketed}\,{dot}", list(b.terms), b.unit
+            b.name, left, dot if is_one else rf"{bracketed}\,{dot}", [*map(read, b.terms)], b.unit
         )
         factor, rate = _mathml(b.inertia), _rate_mathml(b.rate)
         if not is_one:  # an inertia that has no MathML leaves none to the left side
             rate = factor and f'{factor}<mspace width="0.2em"></mspace>{rate}'
         yield replace(equation, left_mathml=rate)
     for name, (expression, unit) in model.outputs.items():
-        equation = _equation(f"output {name}", name, _symbol(name), [expression], unit)
+        equation = _equation(f"output {name}", name, _symbol(name), [read(expression)], unit)
         yield replace(equation, left_mathml=_mathml(ca.SX.sym(name)))
     for unknown, output, residual in model._eliminations:
-        parts = _equation(f"elimination of {unknown}", "0", "0", [residual])
+        parts = _equation(f"elimination of {unknown}", "0", "0", [read(residual)])
         parts = replace(parts, left_mathml="<mn>0</mn>")
         yield replace(parts, note=f"gives {unknown}, with {output} as an input")
     for stage in model.stages:
@@ -180,6 +184,23 @@ def _equations(model: Model) -> Iterator[ModelEquation]:
     for name, entry in model.inputs.items():
         if entry.blends and entry.kind != "generated":
             yield _in_words("hold", "acting", name, _course(model, entry), "between its samples")
+
+
+def _with_the_time(model: Model) -> Callable[[Expr], Expr]:
+    """Puts the time t, and 1, in the place of generated inputs that are these."""
+    found: dict[str, Expr] = {}
+    for name, entry in model.inputs.items():
+        if isinstance(entry.signal, TimeSince):
+            found[name] = ca.SX.sym(f"(t - {entry.signal.origin:.6g} s)".replace("- -", "+ "))
+        elif isinstance(entry.signal, Always):
+            found[name] = ca.SX(1)
+    symbols = [model.symbol(name) for name in found]
+
+    def read(expression: Expr) -> Expr:
+        (out,) = ca.substitute([ca.SX(expression)], symbols, list(found.values()))
+        return out
+
+    return read if found else lambda expression: expression
 
 
 def _course(model: Model, entry: Input) -> str:
@@ -229,6 +250,7 @@ def _written(expression: Expr) -> str:
     names = [s.name() for s in ca.symvar(ca.SX(expression))]
     derivatives = {n: f"d{n[4:]}/dt" for n in names if n.startswith("der_")}
     text = formula_text(expression, names=derivatives)
+    text = _TURN.sub("2 pi", text)
     return _LONG.sub(lambda number: f"{float(number[0]):.6g}", text)
 
 
@@ -294,9 +316,13 @@ def _algebra(expression: Expr) -> Any:
     except ModelError:
         return None
     floats = algebra.atoms(sympy.Float)
-    return algebra.xreplace(
-        {x: sympy.Integer(x) if x == int(x) else sympy.Float(x, 6) for x in floats}
-    )
+
+    def short(x: Any) -> Any:
+        if math.isclose(abs(x), 2 * math.pi, rel_tol=1e-12):
+            return 2 * sympy.pi * (1 if x > 0 else -1)
+        return sympy.Integer(x) if x == int(x) else sympy.Float(x, 6)
+
+    return algebra.xreplace({x: short(x) for x in floats})
 
 
 def _derivative(name: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveError
-from casid.estimation.local_rank import describe_null, local_rank
+from casid.estimation.local_rank import describe_null, rank_of
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
 from casid.estimation.nlp.solver import Solver, descending
@@ -210,15 +210,14 @@ def _at_start(criterion: SimulationError) -> Evaluation:
 
 
 def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array) -> None:
-    scale = np.array([v.scale for v in criterion.variables])
-    rank = local_rank(hessian, x0, criterion.names, scale)
+    rank = rank_of(criterion.variables, hessian, x0)
     if rank.is_full:
         return
     # A start may be special (a zero, a symmetry): look beside it before refusing.
     beside = _random_start(criterion, x0, np.random.default_rng(99))
     at = criterion.evaluate(beside)
     if np.isfinite(at.value):
-        rank = local_rank(at.hessian, beside, criterion.names, scale)
+        rank = rank_of(criterion.variables, at.hessian, beside)
         if rank.is_full:
             return
     raise IdentifiabilityError(

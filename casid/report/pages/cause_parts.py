@@ -50,7 +50,8 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
         others = [
             (
                 *effect_in_words(a.kind, a.where),
-                f" (p {p_text(a.p_value)} against the named one)" + (f": {a.why}" if a.why else ""),
+                ("" if a.is_as_likely else f" (p {p_text(a.p_value)} against the named one)")
+                + (f": {a.why}" if a.why else ""),
             )
             for a in c.alternatives
         ]

@@ -10,12 +10,15 @@ from casid.diagnosis.advice.next_experiment import Advice, Proposal
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.diagnosis.facts import Facts
+from casid.diagnosis.verdict.cause import NOT_ACCEPTED
 from casid.estimation.estimate import Estimated
 from casid.model.effects.names import effect_words
+from casid.model.quantities import count_text, instant_text
 from casid.report.document import Code, Document, Identifier, Labelled, Table, labelled
 from casid.report.numbers import number_text
 
 _LISTED = 5  # of what the page has in full
+_REFUSED = 3  # effects that were significant but not accepted
 _PAIRS = 12  # of causes that are hardest to separate
 _NEVER = 1e6  # beyond it, an energy means never
 
@@ -51,11 +54,20 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
             parts.append(("undetectable", f"in {record}: {_first(names)}"))
     if d.calibration is not None:
         parts += labelled("false alarms", (d.calibration.sentence, *d.calibration.notes))
-    parts += [("note", n) for n in d.notes]
+    parts += [("note", n) for n in _notes(d)]
     parts.append(("advice", d.advice))
     if d.proposals and not d.advice.startswith("To separate") and _is_able(d.proposals[0]):
         parts.append(("next", d.proposals[0].description))
     return Document(f"Diagnosis of {d.problem}: {d.verdict}", parts)
+
+
+def _notes(d: Diagnosis) -> Iterator[str]:
+    """The notes, of effects that were not accepted the first few."""
+    refused = [n for n in d.notes if NOT_ACCEPTED in n]
+    yield from (n for n in d.notes if n not in refused[_REFUSED:])
+    if len(refused) > _REFUSED:
+        others = count_text(len(refused) - _REFUSED, "other effect")
+        yield f"{others} likewise: the report and diagnosis.json have all notes"
 
 
 def _is_able(p: Proposal) -> bool:
@@ -83,7 +95,8 @@ def _cause(i: int, c: Cause) -> Iterator[str]:
     for record, found in c.by_record.items():
         yield f"     {record}: " + ", ".join(_value(p) for p in found.values())
     for a in c.alternatives:
-        yield f"     or {a.words} [{a.kind}] (p = {a.p_value:.2g} against the named one): {a.why}"
+        against = "" if a.is_as_likely else f" (p = {a.p_value:.2g} against the named one)"
+        yield f"     or {a.words} [{a.kind}]{against}: {a.why}"
 
 
 def _remainder(c: Cause) -> Iterator[str]:
@@ -94,10 +107,13 @@ def _remainder(c: Cause) -> Iterator[str]:
 
 
 def _value(p: Estimated) -> str:
+    """A parameter with its error; an instant as its sample time resolves it."""
+    if p.resolution is not None:
+        return f"{p.name} = {instant_text(p.value, p.resolution)}"
     error = f" +- {p.std_error:.2g}" if p.std_error is not None else ""
     unit = f" {p.unit}" if p.unit != "1" else ""
-    bound = f" ({p.note})" if "bound" in p.note else ""
-    return f"{p.name} = {_digits(p)}{error}{unit}{bound}"
+    why = f" ({p.note})" if p.note and p.std_error is None else ""
+    return f"{p.name} = {_digits(p)}{error}{unit}{why}"
 
 
 def _digits(p: Estimated) -> str:

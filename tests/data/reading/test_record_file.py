@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from casid.data.quality import check
 from casid.data.reading.chunks import iter_chunks
 from casid.data.reading.clocks import time_faults
 from casid.data.reading.columns import ColumnSpec
@@ -336,6 +337,42 @@ def test_a_unit_in_brackets_is_the_file_s_word_and_an_ending_only_a_hint(csv):
     with pytest.raises(UnitError, match="'deg' measures 1, but 'N'"):
         read_record(path, {"f": ColumnSpec("pull [deg]", target="N")})
     assert read_record(path, {"f": ("pull [deg]", "N", "N")}).units["f"] == "N"
+
+
+@pytest.mark.parametrize(
+    ("header", "given", "severity", "words"),
+    [("P [W]", "kW", "warning", "in kW, the unit given, though the file states W: .* 1000 times"),
+     ("P [degC]", "K", "warning", "the file states degC. Leave the unit out, as in --map 'P=P"),
+     ("P [deg]", "N", "warning", "the file states deg"),
+     ("P_deg", "rad", "note", "its name ends with deg: its numbers count 57.2958 times"),
+     ("P_deg", "N", "", ""), ("P [W]", "J/s", "", ""), ("P [KN]", "kN", "", ""),
+     ("P", "kW", "", "")],
+)  # fmt: skip
+def test_a_unit_other_than_the_one_that_the_file_states_is_reported(
+    csv, header, given, severity, words
+):
+    path, columns = csv(rows(T, header=f"t,{header},f")), {"P": (header, given)}
+    reported = [f for f in check(path, columns).findings if "the unit given" in f.text]
+    assert [f.severity for f in reported] == ([severity] if severity else [])
+    assert all(re.search(words, str(f)) for f in reported)
+    remarks = [s for s in read_record(path, columns).provenance if "the unit given" in s]
+    assert len(remarks) == len(reported)
+
+
+def test_a_unit_of_time_other_than_the_one_that_the_file_states_is_reported(csv):
+    found = check(csv(rows(T, header="t [s],y,f")), time=ColumnSpec("t [s]", "min"))
+    (finding,) = [f for f in found.findings if f.channel == "t"]
+    assert "though the file states s: its numbers count 60 times as much" in finding.text
+
+
+def test_the_nearest_column_is_no_time_stamp_and_none_that_is_taken(csv):
+    path = csv(rows(T, header="Timestamp [s],Wave (cm),eta2"))
+    with pytest.raises(DataError, match=r"for eta\. The file holds .* as in --map eta=COLUMN\.$"):
+        read_record(path, {"eta": ColumnSpec("timestam"), "x": "eta2"})
+    with pytest.raises(DataError, match="Did you mean 'eta2'.* as in --map eta=eta2"):
+        read_record(path, {"eta": "eta"})
+    with pytest.raises(DataError, match=r"for eta\. The file .* as in --map eta=COLUMN\.$"):
+        read_record(path, {"eta": "eta", "x": "eta2"})
 
 
 def test_a_parquet_file_written_with_its_index_is_read(tmp_path):

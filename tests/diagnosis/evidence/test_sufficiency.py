@@ -249,6 +249,6 @@ def test_a_fit_beside_its_minimum_is_no_reason_where_the_fit_under_the_noise_rea
         return 1e-3
 
     assert why_doubtful(beside, start, small) == ""
-    assert "could not be fitted" in why_doubtful(
+    assert "was not fitted to its minimum" in why_doubtful(
         beside, dataclasses.replace(start, fit=beside), small
     )

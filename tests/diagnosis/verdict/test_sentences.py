@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,10 @@ import pytest
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.verdict.sentences import says_kind, verdict_sentence
+from casid.diagnosis.verdict.cause import NOT_ACCEPTED
+from casid.diagnosis.verdict.judgement import refusal_notes
+from casid.diagnosis.verdict.sentences import says_kind, verdict_sentence, why_alternative
+from casid.estimation.estimate import Estimated
 from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
@@ -98,6 +102,53 @@ def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibratio
     assert "2. unidentified term in torque [unknown] (p = 1.0e-09): a torque like p^3" in text
     assert "interrupted: 40 of 200 null records were done" in text
     assert "3 null records were undecided, which is no alarm" in text
+
+
+@pytest.mark.parametrize(
+    ("p_value", "said"),
+    [(0.2, "[unknown] (p = 0.2 against the named one): e"), (1.0, "[unknown]: e")],
+)
+def test_a_p_value_that_speaks_for_neither_is_left_out(p_value: float, said: str):
+    cause = replace(NAMED, alternatives=(replace(UNKNOWN, p_value=p_value),))
+    assert said in str(changed(small(), causes=(cause,)))
+
+
+@pytest.mark.parametrize(
+    ("gap", "said"),
+    [(0.0, "equally well"), (1.5, "as well (BIC 1.5 worse)"), (9.0, "the misfit worse (BIC 9.0 w"),
+     (-33.3, "explains the misfit better (BIC 33.3 better)")],
+)  # fmt: skip
+def test_an_alternative_is_described_as_its_bic_says(gap: float, said: str):
+    effect = SimpleNamespace(kind="offset", is_on_the_clock=False)
+    best, other = (SimpleNamespace(merit=m, effect=effect) for m in (gap, 0.0))
+    assert said in why_alternative(best, other)
+
+
+def test_an_effect_that_several_rounds_refuse_has_one_note():
+    effect = SimpleNamespace(kind="offset", where="torque")
+    (note,) = refusal_notes([(SimpleNamespace(effect=effect), why) for why in ("one", "two")])
+    assert note.endswith(f"{NOT_ACCEPTED}: two")
+
+
+def test_of_effects_that_were_not_accepted_the_text_has_three_and_counts_the_others():
+    notes = tuple(f"effect {i} {NOT_ACCEPTED}: too weak" for i in range(8))
+    text = str(changed(small(), notes=("the first", *notes, "the last")))
+    assert text.count(NOT_ACCEPTED) == 3
+    assert "5 other effects likewise: the report and diagnosis.json have all notes" in text
+    assert "the first" in text
+    assert "the last" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "Ts", "said"),
+    [(109373.5416, 300.0, "time = 30.4 h"), (27.9912, 0.01, "time = 27.99 s"),
+     (160.02, 0.1, "time = 160.0 s"), (1.2e6, 600.0, "time = 13.89 d")],
+)  # fmt: skip
+def test_an_instant_has_the_digits_that_its_sample_time_resolves(value, Ts, said):
+    time = Estimated("time", value, "s", note="searched", resolution=Ts)
+    limit = Estimated("limit", 2.0, "W", note="not identifiable at the estimate")
+    text = str(changed(small(), causes=(replace(NAMED, parameters=(time, limit)),)))
+    assert f"{said}, limit = 2 W (not identifiable at the estimate)" in text
 
 
 def test_another_variant_of_the_same_effect_leaves_nothing_open():

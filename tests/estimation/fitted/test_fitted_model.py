@@ -13,6 +13,7 @@ from casid.model.clock_signals import StepAt
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.channel_effects import hold, sensor_lag, time_delay
 from casid.model.effects.parameter_effects import parameter_jump
+from casid.model.effects.periodic import periodic_disturbance
 from casid.model.effects.structure_effects import actuator_lag
 from tests.support.fitted_models import driven_mass
 
@@ -194,6 +195,22 @@ def test_the_equations_mark_what_was_added():
     assert not equations_of(plain).changed
     jump = equations_of(parameter_jump(plain, "m", 2.0).extend(plain), plain)
     assert [e.left_is_new for e in jump.changed] == [True]
+
+
+def test_a_periodic_disturbance_is_written_with_the_time():
+    """The middle of the record, from which it counts, and the turn; no generated input by name."""
+    plain = driven_mass()
+    found = equations_of(
+        periodic_disturbance(plain, "force", 0.2, (0.0, 62940.0)).extend(plain), plain
+    )
+    (equation,) = found.changed
+    assert [t.text for t in equation.terms if t.is_new] == [
+        "a_cos * cos(2 pi * frequency * (t - 31470 s))",
+        "a_sin * sin(2 pi * frequency * (t - 31470 s))",
+    ]
+    assert r"\cos{\left(2 \pi \text{(t - 31470 s)}" in found.latex()
+    assert "<mi>&pi;</mi>" in equation.terms[-1].mathml
+    assert "6.28" not in str(found) + found.latex() + "".join(t.mathml for t in equation.terms)
 
 
 def test_models_are_compared_on_one_record_by_their_fit_in_per_cent(estimate):

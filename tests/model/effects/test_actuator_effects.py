@@ -81,6 +81,24 @@ def test_the_extended_model_clips_outright_and_estimates_the_limit():
     assert not limit.is_known
 
 
+def test_the_limit_has_a_standard_error_where_one_level_of_the_command_exceeds_it():
+    """With the blend free, only its product with the excess would be determined."""
+    model, (_, limit) = actuator_saturation(tank(), "u", 0.8).extended(
+        tank(), starts={"saturated_u": 1.0}
+    )
+    command = np.where(T % 10 < 5, 1.0, -0.2)
+    level, h = np.zeros(N), 0.0
+    for k in range(N):
+        level[k] = h
+        h += (1 - np.exp(-Ts / 2.0)) * (min(command[k], 0.7) - h)
+    level += 0.01 * np.random.default_rng(2).standard_normal(N)
+    record = casid.Record({"u": command, "level": level}, {"u": "m", "level": "m"}, Ts=Ts)
+    found = casid.identify(model, record)
+    assert found.identifiability.undetermined == ""
+    assert found.parameter(limit).std_error == pytest.approx(0.001, rel=0.5)
+    assert found[limit] == pytest.approx(0.7, abs=4 * found.parameter(limit).std_error)
+
+
 @pytest.mark.parametrize("gap", [0.1, 0.35])
 def test_a_valve_with_play_moves_once_the_command_has_crossed_it(gap: float):
     y = simulated(input_backlash(tank(), "u", 1.0), gap)
