@@ -151,7 +151,7 @@ def says(effect: Effect, column: str = "") -> str:
         return says_kind(
             effect.kind,
             effect.where,
-            is_relative=bool(effect.description),
+            is_relative="acts on " in effect.description,
             is_command=of_command,
         )
     what = effect.description or f"{effect.kind} acts"
