@@ -57,13 +57,13 @@ def test_an_error_that_rises_by_a_hundredth_is_not_said_to_rise(after: float, sa
     ],
 )
 def test_where_the_reason_carries_its_own_mend_no_longer_record_is_asked_for(why):
-    said = advice("undecided", [], None, why)
+    said = advice("undecided", [], (), why)
     assert said == "Correct what the reason above names, then diagnose again."
 
 
 def test_where_the_record_says_too_little_more_of_it_is_asked_for():
     why = "12 samples are too few to judge a model with 4 unknowns; 40 are the least"
-    assert advice("undecided", [], None, why).startswith("Record longer")
+    assert advice("undecided", [], (), why).startswith("Record longer")
 
 
 UNKNOWN = Alternative("unknown", "torque", 0.2, "explains as much", "p^3")
@@ -73,9 +73,9 @@ NAMED = Cause(
 
 
 def test_a_rival_without_a_name_is_told_by_what_it_is_like():
-    assert "from unidentified term in torque (p^3):" in advice("deficient", [NAMED], None, "")
+    assert "from unidentified term in torque (p^3):" in advice("deficient", [NAMED], (), "")
     famous = replace(UNKNOWN, kind="coulomb_friction", description="friction")
-    said = advice("deficient", [replace(NAMED, alternatives=(famous,))], None, "")
+    said = advice("deficient", [replace(NAMED, alternatives=(famous,))], (), "")
     assert "from dry friction in the torque balance:" in said
 
 
@@ -105,7 +105,7 @@ def test_another_variant_of_the_same_effect_leaves_nothing_open():
     other = Alternative("hold", "u", 0.3, "explains as much", "band-limited")
     cause = Cause("hold", "u", 1e-9, (), (other,), sentence="the input u is linear")
     assert cause.tied == ()
-    assert "separate" not in advice("deficient", [cause], None, "")
+    assert "separate" not in advice("deficient", [cause], (), "")
 
 
 @pytest.mark.parametrize(
