@@ -750,7 +750,7 @@ class Judging:
     )
     moved: float = _is(
         2.0,
-        "standard errors of the extended fit by which a parameter moved",
+        "standard errors, the larger of both fits', by which a parameter moved",
         f"{TESTS}/verdict/test_remainder.py",
         "Hausman, Econometrica 46 (1978) 1251-1271, section 2: by chance in less than 1 of 20",
     )

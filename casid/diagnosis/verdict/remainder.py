@@ -38,10 +38,14 @@ class Moved:
 
     @property
     def shift(self) -> float | None:
-        """How far the parameter moved, in standard errors of where it went; signed."""
+        """How far the parameter moved, in the larger of both fits' standard errors; signed.
+
+        Whatever the correlation r of the two estimates, the error of their difference lies between
+        s1 - s2 and s1 + s2, and is the larger one, s1, at r = s2 / (2 s1).
+        """
         if not self.std_error_after or not math.isfinite(self.bias):
             return None
-        return (self.after - self.before) / self.std_error_after
+        return (self.after - self.before) / max(self.std_error_after, self.std_error_before or 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
@@ -88,10 +92,11 @@ def moved_parameters(
 
     Parameters
     ----------
-    at_least : smallest move reported, in standard errors of the extended fit (a heuristic). Were
-        the causes absent, a move would vary with the difference of both fits' variances (Hausman,
-        Econometrica 46 (1978) 1251-1271, section 2), which is below the extended fit's own: at 2 a
-        parameter is listed by chance in less than one case in twenty.
+    at_least : smallest move reported, in standard errors (`Moved.shift`; a heuristic). Were the
+        causes absent, a move would vary with the difference of both fits' variances (Hausman,
+        Econometrica 46 (1978) 1251-1271, section 2), which is below the larger of them: at 2 a
+        parameter is listed by chance in less than one case in twenty. Where a missing cause makes
+        the residual of the baseline large, so is its own error, which then judges.
 
     Returns
     -------

@@ -108,6 +108,12 @@ def test_a_move_within_its_error_is_not_listed_and_known_parameters_never_are():
     assert [m.name for m in moved_parameters(d.baseline, extended, at_least=10.0)] == ["d"]
 
 
+@pytest.mark.parametrize(("before", "after"), [(4.2, 0.035), (0.035, 4.2)])
+def test_a_shift_is_judged_by_the_larger_of_both_errors(before: float, after: float) -> None:
+    m = Moved("H_inf", "W/K", 16.25, 24.98, std_error_after=after, std_error_before=before)
+    assert m.shift == pytest.approx((24.98 - 16.25) / 4.2)
+
+
 def test_a_parameter_that_left_for_a_bound_is_listed_without_a_shift():
     d = samples.deficient(N=100)
     at_bound = Estimated("k", 5.0, "N m/rad", note="at lower bound")
