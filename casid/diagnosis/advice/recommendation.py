@@ -18,7 +18,7 @@ from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.diagnosis.verdict.gain import decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
-from casid.diagnosis.verdict.sentences import separates
+from casid.diagnosis.verdict.sentences import declares, separates
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import POOR
 from casid.model.effects.effect import OF_SAMPLES
@@ -155,10 +155,14 @@ def advice(
             "Correct the sensor or the logger, or mark these samples as missing; without them, as "
             "they are left out here, nothing in this record contradicts the model."
         )
+    declared = declares(causes)
+    if verdict == "deficient" and declared and all(c.kind == "hold" for c in causes):
+        return f"{declared} Then diagnose again."
     if verdict == "deficient":
-        return (
+        first = next((c.kind for c in causes if c.kind != "hold"), causes[0].kind)
+        return f"{declared} " * bool(declared) + (
             "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
-            f"with {separates(causes[0].kind)}."
+            f"with {separates(first)}."
         )
     if undetectable:
         names = ", ".join(sorted(effect_words(k, w) for k, w in undetectable))

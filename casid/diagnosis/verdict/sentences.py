@@ -13,6 +13,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import Cause, Verdict
+from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words, either_words
 from casid.model.quantities import quantity_text, quantity_texts
@@ -79,7 +80,8 @@ _SEPARATES = {
     "sensor_scale": "a known motion or load: the sensor against a reference",
     "sensor_lag": "excitation well above 1/tau, where a lag also attenuates and a delay does not",
     "cross_axis": "a record in which only the other channel moves",
-    "hold": "excitation near a third of the sampling rate, or a check of what drives the actuator",
+    "hold": "excitation near a third of the sampling rate, or a look at whether the input is held, "
+    "as a command is, or smooth, as a measured signal is",
     "actuator_lag": "fast steps of the command, with the actuator's own position recorded",
     "missing_mode": "a slow sweep across the frequency found, or the part locked",
     "saturation": "a record at half the amplitude",
@@ -145,7 +147,8 @@ def says(effect: Effect, column: str = "") -> str:
         return effect.description
     if effect.kind == "hold" and effect.description:
         one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")
-        return f"{one} {effect.where} {is_one} {effect.description}, unlike in the model"
+        course = f'{effect.description} (hold="{HOLD_OF[effect.description]}")'
+        return f"{one} {effect.where} {is_one} {course}, unlike in the model"
     if effect.kind in _SAYS:
         of_command = effect.parameters[0].name == f"gap_{effect.where}"
         return says_kind(
@@ -158,6 +161,19 @@ def says(effect: Effect, column: str = "") -> str:
     if effect.kind == "unknown":
         return f"an unidentified term in {effect.where}, best described as: {what}"
     return f"{what} ({effect.kind} in {effect.where})"
+
+
+HOLD_OF = {text: hold for hold, text in COURSES.items()}
+"""What a hold has an input do -> how it is declared."""
+
+
+def declares(causes: Sequence[Cause]) -> str:
+    """How to declare the holds among the causes in the problem file; "" where there is none."""
+    holds = [c for c in causes if c.kind == "hold" and c.description in HOLD_OF]
+    each = [f'hold="{HOLD_OF[c.description]}" for {c.where}' for c in holds]
+    if not each:
+        return ""
+    return f"Declare {' and '.join(each)} in the problem file: no equation changes."
 
 
 def separates(kind: str) -> str:

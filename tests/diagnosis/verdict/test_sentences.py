@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import casid
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.verdict.sentences import says_kind, verdict_sentence
+from casid.diagnosis.verdict.sentences import says, says_kind, verdict_sentence
+from casid.model.effects.channel_effects import hold
 from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
@@ -106,6 +108,20 @@ def test_another_variant_of_the_same_effect_leaves_nothing_open():
     cause = Cause("hold", "u", 1e-9, (), (other,), sentence="the input u is linear")
     assert cause.tied == ()
     assert "separate" not in advice("deficient", [cause], (), "")
+
+
+def test_a_hold_is_declared_in_the_problem_file_and_needs_no_other_actuator():
+    m = casid.Model("probe")
+    m.derivative(m.state("z", "m"), m.input("eta", "m/s"))
+    effect = hold(m, "eta", "bandlimited")
+    assert 'between its samples (hold="bandlimited"), unlike in the model' in says(effect)
+    cause = Cause("hold", "eta", 1e-4, (), description=effect.description)
+    said = advice("deficient", [cause], (), "")
+    line = 'Declare hold="bandlimited" for eta in the problem file: no equation changes.'
+    assert said == f"{line} Then diagnose again."
+    both = advice("deficient", [cause, replace(NAMED, alternatives=())], (), "")
+    assert both.startswith(f"{line} Use the extended model")
+    assert "sampling rate" not in both
 
 
 @pytest.mark.parametrize(
