@@ -291,6 +291,11 @@ class Residual:
         "given up for nothing",
         f"{TESTS}/verdict/test_held_out_noise.py",
     )
+    small_step: float = _is(
+        0.1,
+        "of a standard deviation, the step by which the simulation is differentiated along it",
+        f"{TESTS}/verdict/test_held_out_noise.py",
+    )
 
 
 _REFERENCES = f"{TESTS}/evidence/test_loop_references.py"
@@ -745,7 +750,8 @@ class Judging:
     )
     at_floor: float = _is(
         1.1,
-        "times the noise floor: a floor estimated from the same record is no better known",
+        "times the noise floor: a floor estimated from the same record is no better known; an "
+        "error of what was held out may be larger by chance (`chance_over_floor`)",
         f"{TESTS}/verdict/test_remainder.py",
     )
     moved: float = _is(

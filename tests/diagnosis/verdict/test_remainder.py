@@ -57,6 +57,14 @@ def test_the_sentence_says_what_the_numbers_say(p_value, after, words):
     assert words in what_remains([("offset", "torque", 1.0)], part, p_value=p_value).sentence
 
 
+@pytest.mark.parametrize(("chance", "is_more"), [(1.7, False), (1.5, True)])
+def test_an_error_that_chance_gives_is_no_unexplained_one(chance: float, is_more: bool) -> None:
+    part = {"baseline_rmse": {"x": 3.0}, "extended_rmse": {"x": 1.6}, "noise_floor": {"x": 1.0}}
+    r = what_remains([("offset", "torque", 1.0)], part, p_value=0.5, chance={"x": chance})
+    assert ("no effect of the catalogue explains" in r.sentence) == is_more
+    assert ("within what chance" in r.sentence) != is_more
+
+
 def test_what_a_random_disturbance_leaves_is_no_unexplained_misfit():
     part = {"baseline_rmse": {"gyro": 1.6}, "noise_floor": {"gyro": 1.0}}
     r = what_remains([], part, p_value=1e-6, is_random=True)
