@@ -265,8 +265,14 @@ def _says_cause(c: Cause) -> str:
     return f"{_OPEN}{either_words(words)}"
 
 
-def noise_text(at: Weighted) -> dict[str, str]:
-    """Channel or balance -> the noise found there, where it makes a part of the residual."""
+def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
+    """Channel or balance -> the noise found there, where it makes a part of the residual.
+
+    Parameters
+    ----------
+    is_all : the residual is consistent with noise. What an input could have of it at most is then
+        noise of the outputs, and implies nothing.
+    """
 
     def text_of(name: str, sd: float) -> str:
         return quantity_text(at.model.shown_size(name, sd), at.model.unit_of(name))
@@ -286,12 +292,12 @@ def noise_text(at: Weighted) -> dict[str, str]:
                 f"white input noise {text_of(source, own)}" if own > 0 else "no white noise found"
             )
             moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
-            if sd > moves:
+            if not is_all and sd > moves:
                 text += (
                     f"; the residual implies more than the motion of {source} itself "
                     f"({text_of(source, moves)}): it is model error, not noise of {source}"
                 )
-            elif sd > JUDGING.more_noise * max(own, TINY):
+            elif not is_all and sd > JUDGING.more_noise * max(own, TINY):
                 most = text_of(source, sd)
                 text += f"; the residual implies up to {most}: a disturbance or model error"
         elif is_seen(at, source):

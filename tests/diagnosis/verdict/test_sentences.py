@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ import casid
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.verdict.sentences import says, says_kind, verdict_sentence
+from casid.diagnosis.verdict.sentences import noise_text, says, says_kind, verdict_sentence
 from casid.model.effects.channel_effects import hold
 from problems import pendulum
 from tests.support.samples import changed
@@ -122,6 +124,22 @@ def test_a_hold_is_declared_in_the_problem_file_and_needs_no_other_actuator():
     both = advice("deficient", [cause, replace(NAMED, alternatives=())], (), "")
     assert both.startswith(f"{line} Use the extended model")
     assert "sampling rate" not in both
+
+
+def test_a_residual_that_is_noise_implies_nothing_of_an_input():
+    m = casid.Model("probe")
+    m.derivative(m.state("z", "m"), m.input("u", "m/s"))
+    m.output("z", m.symbol("z"), "m")
+    columns = {"u": np.arange(9.0), "z": np.zeros(9)}
+    record = casid.Record(columns, {"u": "m/s", "z": "m"}, Ts=1.0)
+    at: Any = SimpleNamespace(
+        model=m,
+        input_sd={"u": 0.01},
+        full=SimpleNamespace(output_sd=np.array([0.1]), source_sd={"u": 0.3}),
+        criterion=SimpleNamespace(outputs=("z",), experiments=[casid.Experiment(record, {}, "r")]),
+    )
+    assert "the residual implies up to 0.3 m/s" in noise_text(at)["u"]
+    assert noise_text(at, is_all=True)["u"] == "white input noise 10 mm/s"
 
 
 @pytest.mark.parametrize(
