@@ -204,7 +204,9 @@ def _concluded(
             judged.baseline,
             judged.extended,
             judged.records,
-            noise_text(beside or found.at) if found.baseline.is_fitted else {},
+            noise_text(beside or found.at, is_all=remainder is not None and remainder.is_noise)
+            if found.baseline.is_fitted
+            else {},
             judged.disturbances,
         ),
         gain=Gain(judged.fitted, judged.held_out, judged.moved, judged.remaining),

@@ -291,6 +291,11 @@ class Residual:
         "given up for nothing",
         f"{TESTS}/verdict/test_held_out_noise.py",
     )
+    small_step: float = _is(
+        0.1,
+        "of a standard deviation, the step by which the simulation is differentiated along it",
+        f"{TESTS}/verdict/test_held_out_noise.py",
+    )
 
 
 _REFERENCES = f"{TESTS}/evidence/test_loop_references.py"
@@ -633,6 +638,12 @@ class Description:
         f"{TESTS}/verdict/test_sentences.py",
         'Kass and Raftery (1995): "not worth more than a bare mention"',
     )
+    slow: float = _is(
+        0.01,
+        "frequency [Hz] of a disturbance below which its period is said as well",
+        f"{TESTS}/evidence/test_disturbances.py",
+        "what takes minutes is told by its time",
+    )
     apart: float = _is(
         12.0,
         "squares by which a place must explain more than another to be named alone: six units of "
@@ -751,12 +762,13 @@ class Judging:
     )
     at_floor: float = _is(
         1.1,
-        "times the noise floor: a floor estimated from the same record is no better known",
+        "times the noise floor: a floor estimated from the same record is no better known; an "
+        "error of what was held out may be larger by chance (`chance_over_floor`)",
         f"{TESTS}/verdict/test_remainder.py",
     )
     moved: float = _is(
         2.0,
-        "standard errors of the extended fit by which a parameter moved",
+        "standard errors, the larger of both fits', by which a parameter moved",
         f"{TESTS}/verdict/test_remainder.py",
         "Hausman, Econometrica 46 (1978) 1251-1271, section 2: by chance in less than 1 of 20",
     )

@@ -105,7 +105,7 @@ def diagnoses(draw: st.DrawFn) -> Diagnosis:
         fitted=held,
         moved=(),
         isolability=draw(st.none() | st.just(isolability())),
-        advice=advice(verdict, causes, None, why, is_better=improves(decisive(held, held))),
+        advice=advice(verdict, causes, (), why, is_better=improves(decisive(held, held))),
         remaining=what_remains(
             named, held, p_value=draw(st.none() | p_values), test="kind of the residual",
             false_alarm_rate=LEVEL, coloured=last.fit.coloured,

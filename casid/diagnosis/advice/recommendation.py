@@ -8,15 +8,18 @@ from dataclasses import dataclass
 from casid.data.problem import Problem
 from casid.diagnosis.advice.isolability import Isolability, isolability
 from casid.diagnosis.advice.next_experiment import Advice, Proposal, Suspect, next_experiment
-from casid.diagnosis.advice.undetectable import Undetectable, undetectable_effects
+from casid.diagnosis.advice.undetectable import (
+    Undetectable,
+    absorbed_effects,
+    undetectable_effects,
+)
 from casid.diagnosis.evidence.disturbances import Disturbance
-from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.diagnosis.verdict.gain import decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
-from casid.diagnosis.verdict.sentences import separates
+from casid.diagnosis.verdict.sentences import declares, separates
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import POOR
 from casid.model.effects.effect import OF_SAMPLES
@@ -45,6 +48,8 @@ def recommend(
     """
     table, base = found.search.first_table, found.baseline
     attempt = found.search.attempts.attempt
+    named = {(c.kind, c.where) for c in judged.causes}
+    absorbed = [e.key for _, e in absorbed_effects(table, problem.model)] if table else []
     planned = None
     if plan:
         what = "the plan of an experiment that separates tied causes"
@@ -61,8 +66,9 @@ def recommend(
         text = _disturbance_advice(problem.model, judged.disturbances[0])
     else:
         is_better = improves(decisive(judged.fitted, judged.held_out))
+        hidden = [key for key in absorbed if key not in named]
         text = advice(
-            judged.verdict, judged.causes, table, judged.why_undecided, is_better=is_better
+            judged.verdict, judged.causes, hidden, judged.why_undecided, is_better=is_better
         )
     if table is None:
         return Recommendation(text, None, (), planned.proposals if planned is not None else ())
@@ -72,7 +78,6 @@ def recommend(
             "why some causes are undetectable",
             lambda: undetectable_effects(table, problem.model, base.split.fitted),
         )
-    named = {(c.kind, c.where) for c in judged.causes}
     return Recommendation(
         sentence=text,
         isolability=isolability(table, n_samples=found.base_fit.criterion.n_samples),
@@ -121,7 +126,7 @@ _REMEDIES = (": check ", ": fit ", ": diagnose ")
 def advice(
     verdict: Verdict,
     causes: Sequence[Cause],
-    table: ScoreTable | None,
+    undetectable: Sequence[tuple[str, str]],
     why_undecided: str,
     *,
     is_better: bool = True,
@@ -130,6 +135,7 @@ def advice(
 
     Parameters
     ----------
+    undetectable : kind and place of what the records cannot show (`absorbed_effects`).
     is_better : whether including the causes lowers the error of what was held out.
     """
     if verdict == "undecided":
@@ -153,16 +159,17 @@ def advice(
             "Correct the sensor or the logger, or mark these samples as missing; without them, as "
             "they are left out here, nothing in this record contradicts the model."
         )
+    declared = declares(causes)
+    if verdict == "deficient" and declared and all(c.kind == "hold" for c in causes):
+        return f"{declared} Then diagnose again."
     if verdict == "deficient":
-        return (
+        first = next((c.kind for c in causes if c.kind != "hold"), causes[0].kind)
+        return f"{declared} " * bool(declared) + (
             "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
-            f"with {separates(causes[0].kind)}."
+            f"with {separates(first)}."
         )
-    scores = table.scores if table is not None else ()
-    seen = {s.effect.key for s in scores if s.is_visible}
-    undetected = {s.effect.key for s in scores} - seen
-    if undetected:
-        names = ", ".join(sorted(effect_words(k, w) for k, w in undetected))
+    if undetectable:
+        names = ", ".join(sorted(effect_words(k, w) for k, w in undetectable))
         return f"The model may be used. Undetectable in this set-up: {names}."
     return "The model may be used for motions like those recorded."
 

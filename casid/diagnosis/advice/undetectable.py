@@ -26,6 +26,7 @@ from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.requirement import word
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import effect_words
 from casid.model.model import Model
 from casid.time_limit import wall_clock
 
@@ -65,6 +66,18 @@ class Undetectable:
         """True if no record of these channels shows the cause."""
         return self.reason == "structural"
 
+    @property
+    def words(self) -> str:
+        """The cause as an engineer says it, with what it would pass for where that is known."""
+        words = effect_words(self.kind, self.where)
+        if not self.absorbed_by:
+            return words
+        one = len(self.absorbed_by) == 1
+        return (
+            f"{words} (would look like {'another' if one else 'other values of'} "
+            f"{_listed(self.absorbed_by)})"
+        )
+
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
         return plain_fields(self, identifiable="told", remedy="mend")
@@ -89,18 +102,34 @@ def undetectable_effects(
     experiments : those of the table; their load cases say what is known.
     threshold : share of a signature below which it counts as absorbed.
     """
-    largest: dict[tuple[str, str], tuple[float, Effect]] = {}
-    for s in table.scores:
-        if s.effect.key not in largest or s.visible > largest[s.effect.key][0]:
-            largest[s.effect.key] = s.visible, s.effect
-    # The gain of a known input is what the user says that it is, unless a record denies it.
-    exact = {("sensor_scale", n) for n, u in model.inputs.items() if u.kind == "known"}
-    absorbed = [(v, e) for v, e in largest.values() if v <= threshold and e.key not in exact]
+    absorbed = absorbed_effects(table, model, threshold=threshold)
     if not absorbed:
         return ()
     tested = _RankTests(model, experiments)
     found = [tested.about(effect, visible) for visible, effect in absorbed]
     return tuple(sorted(found, key=lambda i: (not i.is_structural, i.kind, i.where)))
+
+
+def absorbed_effects(
+    table: ScoreTable, model: Model, *, threshold: float = SCORES.undetectable
+) -> list[tuple[float, Effect]]:
+    """Causes of the table that are absorbed in every variant, with the visible share of each.
+
+    A gain that errs from the sensor's zero is another cause than one that errs about the mean,
+    which is a bias to first order: where both are tested, the former counts.
+    """
+    kind = "sensor_scale"
+    from_zero = {s.effect.key for s in table.scores if "about" not in s.effect.constants}
+    largest: dict[tuple[str, str], tuple[float, Effect]] = {}
+    for s in table.scores:
+        key, constants = s.effect.key, s.effect.constants
+        if s.effect.kind == kind and "about" in constants and key in from_zero:
+            continue
+        if key not in largest or s.visible > largest[key][0]:
+            largest[key] = s.visible, s.effect
+    # The gain of a known input is what the user says that it is, unless a record denies it.
+    exact = {(kind, n) for n, u in model.inputs.items() if u.kind == "known"}
+    return [(v, e) for v, e in largest.values() if v <= threshold and e.key not in exact]
 
 
 class _RankTests:

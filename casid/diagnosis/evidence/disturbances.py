@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -16,15 +17,12 @@ import numpy as np
 from casid.arrays import TINY
 from casid.data.files import plain_fields
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, difference_to_si, same_dimension
 
-SLOW = 0.01
-"""Frequency [Hz] below which the period is said as well."""
-
-DAY = 86_400.0
+DAY = timedelta(days=1).total_seconds()
 """Its length [s]."""
 
 
@@ -80,7 +78,7 @@ class Disturbance:
     @property
     def _period(self) -> str:
         """The period of a slow peak, and whether a day is among those of its band."""
-        if not self.peak or not self.bandwidth or self.peak > SLOW:
+        if not self.peak or not self.bandwidth or self.peak > DESCRIPTION.slow:
             return ""
         is_daily = 2 * abs(self.peak - 1 / DAY) <= self.bandwidth
         day = "; once a day, as sun and use come, is in that band" if is_daily else ""

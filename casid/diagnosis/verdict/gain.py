@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from casid.arrays import TINY, Array
 from casid.data.channel_quality import quantisation_step
@@ -74,6 +75,46 @@ def _resolved(at: Weighted, output: int) -> float:
     """Standard deviation of the rounding of an output, 0 where it is not quantised."""
     steps = [quantisation_step(d.y[d.used[:, output], output]) for d in at.criterion.data]
     return min((step or 0.0) for step in steps) / math.sqrt(12)
+
+
+def chance_over_floor(
+    fit: Fit, covariance: Array, at: Weighted, split: Split, floor: Mapping[str, float]
+) -> dict[str, float]:
+    """The largest RMS error of what was held out, over its floor, that chance alone gives.
+
+    The mean square of the noise there over that of the fitted part is F distributed, each with the
+    degrees of freedom of its spectrum. The error dx of the estimates, of which the initial state is
+    one, adds the square of (dy/dx) dx: where one direction of dx gives most of it, chi-squared of
+    one degree of freedom times its mean, the trace of (dy/dx) P (dy/dx)'. Of records held out as a
+    whole, whose initial state is fitted anew, the noise alone counts.
+
+    Parameters
+    ----------
+    fit, covariance : the model that was simulated, and P of its variables (SI).
+    at : with the noise.
+    """
+    outputs = fit.criterion.outputs
+    fitted = sum(int((~m).sum()) for m in split.held)
+    held = sum(int(m.sum()) for m in split.held) + sum(e.record.N for e in split.apart)
+    if not held:
+        return {}
+    free = [2 / np.maximum(at.full.spread(0, n) ** 2, TINY) for n in (held, fitted)]
+    moved = np.zeros(len(outputs))
+    values, vectors = np.linalg.eigh(covariance)
+    steps = vectors[:, values > 0] * np.sqrt(values[values > 0])
+    for e, mask in enumerate(split.held):
+        if not mask.any() or fit.criterion.parts(e) > 1:
+            continue
+        d, y, _ = whole_simulation(fit, split, e)
+        for step in steps.T:
+            other = fit.criterion.simulate(fit.x + RESIDUAL.small_step * step, e, signals=d)[0]
+            change = np.where(d.used, other - y, 0.0)[mask] / RESIDUAL.small_step
+            moved += np.nan_to_num(np.sum(change**2, axis=0), nan=0.0, posinf=0.0)
+    level = RESIDUAL.held_out_chance
+    size = np.array([floor.get(o, 0.0) for o in outputs])
+    by_estimates = chi2.isf(level, 1) * moved / held / np.maximum(size**2, TINY)
+    chance = np.sqrt(f_distribution.isf(level, *free) + by_estimates)
+    return dict(zip(outputs, chance.tolist(), strict=True))
 
 
 def unlike_held_out(

@@ -21,6 +21,7 @@ from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
     bounds_met,
+    chance_over_floor,
     errors_of,
     unlike_beside,
     unlike_held_out,
@@ -111,6 +112,11 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     part = held if held.get("extended_rmse") else fitted
     causes = causes_of(found, extended or baseline, problem.columns())
     negated = partial(_with_the_sign, found)
+    chance: dict[str, float] = {}
+    if part is held:
+        covariance, floor = (extended or baseline).covariance, held["noise_floor"]
+        of = partial(chance_over_floor, found.best_fit, covariance, found.at, start.split, floor)
+        chance = attempt("what chance gives to the held-out error", of) or {}
     remaining = what_remains(
         [(c.kind, c.where, c.share) for c in negated(causes)],
         part,
@@ -119,6 +125,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         false_alarm_rate=remainder.level if remainder is not None else false_alarm_rate,
         coloured=(extended or baseline).fit.coloured,
         is_random=bool(disturbances),
+        chance=chance,
     )
     bounds = bounds_met(problem, found.best_fit)
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):

@@ -50,6 +50,11 @@ class Remainder:
     disturbances: tuple[Disturbance, ...] = ()  # where it is none
     beside: Weighted | None = None  # the model under them, where it is simulated without
 
+    @property
+    def is_noise(self) -> bool:
+        """True if the remainder is consistent with the noise of sensors and inputs."""
+        return self.p_value >= self.level and not self.disturbances
+
 
 def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -> Remainder:
     """Test the residual of the last model; describe it where it is deterministic or changes."""

@@ -38,10 +38,14 @@ class Moved:
 
     @property
     def shift(self) -> float | None:
-        """How far the parameter moved, in standard errors of where it went; signed."""
+        """How far the parameter moved, in the larger of both fits' standard errors; signed.
+
+        Whatever the correlation r of the two estimates, the error of their difference lies between
+        s1 - s2 and s1 + s2, and is the larger one, s1, at r = s2 / (2 s1).
+        """
         if not self.std_error_after or not math.isfinite(self.bias):
             return None
-        return (self.after - self.before) / self.std_error_after
+        return (self.after - self.before) / max(self.std_error_after, self.std_error_before or 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
@@ -88,10 +92,11 @@ def moved_parameters(
 
     Parameters
     ----------
-    at_least : smallest move reported, in standard errors of the extended fit (a heuristic). Were
-        the causes absent, a move would vary with the difference of both fits' variances (Hausman,
-        Econometrica 46 (1978) 1251-1271, section 2), which is below the extended fit's own: at 2 a
-        parameter is listed by chance in less than one case in twenty.
+    at_least : smallest move reported, in standard errors (`Moved.shift`; a heuristic). Were the
+        causes absent, a move would vary with the difference of both fits' variances (Hausman,
+        Econometrica 46 (1978) 1251-1271, section 2), which is below the larger of them: at 2 a
+        parameter is listed by chance in less than one case in twenty. Where a missing cause makes
+        the residual of the baseline large, so is its own error, which then judges.
 
     Returns
     -------
@@ -122,6 +127,7 @@ def what_remains(
     false_alarm_rate: float = 0.05,
     coloured: Mapping[str, str] | None = None,
     is_random: bool = False,
+    chance: Mapping[str, float] | None = None,
 ) -> Remaining | None:
     """The remainder of the misfit, from the RMS errors of one part of the records.
 
@@ -135,6 +141,7 @@ def what_remains(
     false_alarm_rate : below it, the test rejects that the remainder is noise.
     coloured : output -> what its autocorrelated residual is like (`Agreement.coloured`).
     is_random : the remainder is a disturbance, and no deficiency of the model.
+    chance : output -> how far above the floor its error may be by chance (`chance_over_floor`).
 
     Returns
     -------
@@ -158,7 +165,9 @@ def what_remains(
         p_value=p_value,
         test=test,
         sentence=_sentence(explained, left, over)
-        + _kind_of_remainder(over, p_value, false_alarm_rate, coloured or {}, is_random),
+        + _kind_of_remainder(
+            over, p_value, false_alarm_rate, coloured or {}, is_random, chance or {}
+        ),
     )
 
 
@@ -181,24 +190,28 @@ def _kind_of_remainder(
     alpha: float,
     coloured: Mapping[str, str],
     is_random: bool,
+    chance: Mapping[str, float],
 ) -> str:
     """Whether the remainder is noise: one answer from the test, the floor and the whiteness."""
     is_more = p_value is not None and p_value < alpha
-    if is_random and (is_more or max(over.values()) > JUDGING.at_floor):
+    above = [o for o, ratio in over.items() if ratio > JUDGING.at_floor]
+    is_above = any(over[o] > chance.get(o, 0.0) for o in above)
+    if is_random and (is_more or is_above):
         return " The remainder is a random disturbance, not an error of the model."
     if is_more:
         return " The remainder is more than noise: part of the misfit is unexplained."
-    if max(over.values()) > JUDGING.at_floor:
+    if is_above:
         why = " that no effect of the catalogue explains" if p_value is not None else ""
         return f" An error above the floor remains{why}."
+    by_chance = " That is within what chance and the errors of the estimates give." if above else ""
     said = "; ".join(f"{output}: {text}" for output, text in coloured.items())
     if p_value is None:
         also = f", and the residual is autocorrelated ({said})" if said else ""
-        return f" No error remains above the floor{also}."
+        return by_chance or f" No error remains above the floor{also}."
     if not said:
-        return " The remainder is consistent with noise."
+        return f"{by_chance} The remainder is consistent with noise."
     by = "the disturbance" if is_random else "noise of measured inputs"
     return (
-        " The remainder is consistent with the noise that was estimated, which is coloured: the "
-        f"residual is autocorrelated ({said}), as {by} makes it."
+        f"{by_chance} The remainder is consistent with the noise that was estimated, which is "
+        f"coloured: the residual is autocorrelated ({said}), as {by} makes it."
     )

@@ -13,6 +13,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import Cause, Verdict
+from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words, either_words
 from casid.model.quantities import quantity_text, quantity_texts
@@ -79,7 +80,8 @@ _SEPARATES = {
     "sensor_scale": "a known motion or load: the sensor against a reference",
     "sensor_lag": "excitation well above 1/tau, where a lag also attenuates and a delay does not",
     "cross_axis": "a record in which only the other channel moves",
-    "hold": "excitation near a third of the sampling rate, or a check of what drives the actuator",
+    "hold": "excitation near a third of the sampling rate, or a look at whether the input is held, "
+    "as a command is, or smooth, as a measured signal is",
     "actuator_lag": "fast steps of the command, with the actuator's own position recorded",
     "missing_mode": "a slow sweep across the frequency found, or the part locked",
     "saturation": "a record at half the amplitude",
@@ -145,19 +147,33 @@ def says(effect: Effect, column: str = "") -> str:
         return effect.description
     if effect.kind == "hold" and effect.description:
         one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")
-        return f"{one} {effect.where} {is_one} {effect.description}, unlike in the model"
+        course = f'{effect.description} (hold="{HOLD_OF[effect.description]}")'
+        return f"{one} {effect.where} {is_one} {course}, unlike in the model"
     if effect.kind in _SAYS:
         of_command = effect.parameters[0].name == f"gap_{effect.where}"
         return says_kind(
             effect.kind,
             effect.where,
-            is_relative=bool(effect.description),
+            is_relative="acts on " in effect.description,
             is_command=of_command,
         )
     what = effect.description or f"{effect.kind} acts"
     if effect.kind == "unknown":
         return f"an unidentified term in {effect.where}, best described as: {what}"
     return f"{what} ({effect.kind} in {effect.where})"
+
+
+HOLD_OF = {text: hold for hold, text in COURSES.items()}
+"""What a hold has an input do -> how it is declared."""
+
+
+def declares(causes: Sequence[Cause]) -> str:
+    """How to declare the holds among the causes in the problem file; "" where there is none."""
+    holds = [c for c in causes if c.kind == "hold" and c.description in HOLD_OF]
+    each = [f'hold="{HOLD_OF[c.description]}" for {c.where}' for c in holds]
+    if not each:
+        return ""
+    return f"Declare {' and '.join(each)} in the problem file: no equation changes."
 
 
 def separates(kind: str) -> str:
@@ -251,8 +267,14 @@ def _says_cause(c: Cause) -> str:
     return f"{_OPEN}{either_words(words)}"
 
 
-def noise_text(at: Weighted) -> dict[str, str]:
-    """Channel or balance -> the noise found there, where it makes a part of the residual."""
+def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
+    """Channel or balance -> the noise found there, where it makes a part of the residual.
+
+    Parameters
+    ----------
+    is_all : the residual is consistent with noise. What an input could have of it at most is then
+        noise of the outputs, and implies nothing.
+    """
 
     def text_of(name: str, sd: float) -> str:
         return quantity_text(at.model.shown_size(name, sd), at.model.unit_of(name))
@@ -272,12 +294,12 @@ def noise_text(at: Weighted) -> dict[str, str]:
                 f"white input noise {text_of(source, own)}" if own > 0 else "no white noise found"
             )
             moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
-            if sd > moves:
+            if not is_all and sd > moves:
                 text += (
                     f"; the residual implies more than the motion of {source} itself "
                     f"({text_of(source, moves)}): it is model error, not noise of {source}"
                 )
-            elif sd > JUDGING.more_noise * max(own, TINY):
+            elif not is_all and sd > JUDGING.more_noise * max(own, TINY):
                 most = text_of(source, sd)
                 text += f"; the residual implies up to {most}: a disturbance or model error"
         elif is_seen(at, source):

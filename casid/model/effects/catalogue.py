@@ -190,7 +190,7 @@ def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     middle, reach = 0.5 * (motion.low + motion.high), 0.5 * (motion.high - motion.low)
     if not np.isfinite(reach) or reach <= 0.0:
         return []
-    width = SMOOTHING.width * reach
+    width = SMOOTHING.stop * reach
     return [
         end_stop(model, place, side, middle, reach, width, start)
         for side in sides

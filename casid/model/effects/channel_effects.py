@@ -224,7 +224,7 @@ def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
         sided="positive",
         cost=0,  # extended, it has no free parameter
         shape=toward if toward == "bandlimited" else "",
-        description=_COURSES[toward],
+        description=COURSES[toward],
     )
 
 
@@ -257,7 +257,7 @@ def _holds_of_all(model: Model) -> Iterator[Effect]:
             yield hold_of_all(model, channels, toward)
 
 
-_COURSES: Mapping[Hold, str] = {
+COURSES: Mapping[Hold, str] = {
     "zoh": "held between its samples",
     "foh": "joined by straight lines between its samples",
     "bandlimited": "band-limited between its samples",

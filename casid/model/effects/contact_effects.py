@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import casadi as ca
@@ -20,6 +20,17 @@ from casid.model.units import unit_quotient
 
 Side = Literal["both", "upper", "lower"]
 _VARIANT = {"both": 0.0, "upper": 1.0, "lower": -1.0}
+_LIMITS: Mapping[Side, Mapping[str, float]] = {
+    "upper": {"limit": 1.0},
+    "lower": {"limit": -1.0},
+    "both": {"limit_lower": -1.0, "limit_upper": 1.0},
+}
+"""Positions of the stops of each side, and the direction in which each is met."""
+_ACTS: Mapping[Side, str] = {
+    "upper": "where {q} is above limit",
+    "lower": "where {q} is below limit",
+    "both": "where {q} is below limit_lower or above limit_upper",
+}
 
 
 def end_stop(
@@ -31,54 +42,59 @@ def end_stop(
     width: float,
     start: float = CONTACT_RANGES.starts[-1],
 ) -> Effect | None:
-    """A stop of stiffness k_stop that acts where the position is `limit` and more from a middle.
+    """A stop of stiffness k_stop that acts beyond a position q = limit.
 
-    -k_stop r(q - q_0 - limit) on the upper side, r(x) = (x + sqrt(x^2 + e^2)) / 2: nothing before
-    the stop, a spring in it, with a corner rounded over e. In a store without a position the stop
-    is an overflow: q is the content. None where a mechanical place has no position.
+    -k_stop r(q - limit) on the upper side, r(x) = (x + sqrt(x^2 + e^2)) / 2: nothing before the
+    stop, a spring in it, with a corner rounded over e. Stops on both sides have a position each,
+    `limit_lower` and `limit_upper`. In a store without a position the stop is an overflow: q is
+    the content. None where a mechanical place has no position.
 
     Parameters
     ----------
     side : where there is one.
-    middle : q_0, of the motion met (position's SI unit).
-    reach : half of the range met; the limit is searched within.
+    middle : of the motion met (position's SI unit).
+    reach : half of the range met; the positions are searched within.
     width : e.
-    start : of `reach`, where the search for the limit starts.
+    start : of `reach`, how far from the middle the search for the positions starts.
     """
     place = place_named(model, where)
-    q = place.position
-    unit = place.position_unit
+    q, name, unit = place.position, place.position_name, place.position_unit
     if q is None:
         if place.is_mechanical or place.velocity is None:
             return None
-        q, unit = place.velocity, place.velocity_unit
-    lower, upper = (share * reach for share in CONTACT_RANGES.limit)
-    parameters = (
-        Parameter("k_stop", unit_quotient(place.unit, unit, 1), 0.0, lower=0.0),
-        Parameter("limit", unit, start * reach, lower=lower, upper=upper),
-    )
-    square, q_0 = carrying_unit(width**2), carrying_unit(middle)
+        q, name, unit = place.velocity, place.velocity_name, place.velocity_unit
+    limits = _LIMITS[side]
+    nearest = (CONTACT_RANGES.one if len(limits) == 1 else CONTACT_RANGES.two) * reach
+    positions = []
+    for limit, sign in limits.items():
+        low, high = sorted((sign * nearest, sign * reach))
+        at = middle + sign * start * reach
+        positions.append(Parameter(limit, unit, at, lower=middle + low, upper=middle + high))
+    stiffness = Parameter("k_stop", unit_quotient(place.unit, unit, 1), 0.0, lower=0.0)
+    square = carrying_unit(width**2)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        k, limit = (new.symbol(n) for n in names)
+        k = new.symbol(names[0])
         force = ca.SX(0.0)
-        for sign in (1.0, -1.0):
-            if _VARIANT[side] * sign >= 0.0:
-                into = sign * (q - q_0) - limit
-                force = force - sign * k * (into + ca.sqrt(into**2 + square)) / 2
+        for limit, sign in zip(names[1:], limits.values(), strict=True):
+            into = sign * (q - new.symbol(limit))
+            force = force - sign * k * (into + ca.sqrt(into**2 + square)) / 2
         place.add(new, force)
         known_while_null(new, names)
 
+    acts = ", ".join(w for w in (place.words, _ACTS[side].format(q=name or place.where)) if w)
+    shown = model.declared_units.get(name)
     return Effect(
         "end_stop",
         place.where,
-        parameters,
+        (stiffness, *positions),
         apply,
         sided="positive",
         variant=_VARIANT[side],
-        cost=len(parameters),
-        description=place.words,
-        constants={"middle": middle, "width": width},
+        cost=1 + len(positions),
+        description=acts,
+        constants={"width": width},
+        declared_units={p.name: shown for p in positions} if shown else {},
     )
 
 

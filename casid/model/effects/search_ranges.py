@@ -95,6 +95,12 @@ class Smoothing:
 
     speed: float = _is(0.03, "of the rms rate, below which dry friction is rounded", _BALANCES)
     width: float = _is(0.01, "of the rms position, to which the corners of play extend", _BALANCES)
+    stop: float = _is(
+        1e-3,
+        "of half the range, to which the corner of a stop extends: at ten times that the force "
+        "before the stop moves the position found by several standard errors",
+        "tests/diagnosis/search/test_stops.py",
+    )
     power: float = _is(1e-3, "of the typical level, below which a power law is rounded", _FLOW_LAWS)
     motion: float = _is(4.0, "rms values that the largest motion is taken as", _CATALOGUE)
     above_zero: float = _is(
@@ -119,10 +125,22 @@ class ContactRanges:
     """Where a stop is searched."""
 
     starts: tuple[float, ...] = _is(
-        (0.5, 0.7, 0.85), "of half the range, the limits that the search starts from", _CONTACT
+        (0.25, 0.5, 0.7, 0.85),
+        "of half the range from its middle, the positions that the search starts from; at the "
+        "middle a stop on one side is one on the other and a spring",
+        _CONTACT,
     )
-    limit: tuple[float, float] = _is(
-        (0.3, 1.0), "of half the range, lower and upper bound of a stop", _CONTACT
+    one: float = _is(
+        -0.8,
+        "of half the range, the position of a stop on one side that is nearest to the other end: "
+        "a soft stop may be passed over most of the motion, but at that end it is a spring",
+        _CONTACT,
+    )
+    two: float = _is(
+        0.05,
+        "of half the range, the distance from its middle of a stop on either side: at the middle "
+        "both are a spring",
+        _CONTACT,
     )
 
 

@@ -45,11 +45,7 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
         parts += [("nearly alike", _first([effect_words(*k) for k in g])) for g in groups]
     parts += [("noise", f"{k}: {v}") for k, v in d.noise.items()]
     for is_structural, record in ((True, "any record of these channels"), (False, "this record")):
-        names = [
-            effect_words(i.kind, i.where)
-            for i in d.undetectable
-            if i.is_structural == is_structural
-        ]
+        names = [i.words for i in d.undetectable if i.is_structural == is_structural]
         if names:
             parts.append(("undetectable", f"in {record}: {_first(names)}"))
     if d.calibration is not None:

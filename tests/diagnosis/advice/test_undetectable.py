@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.advice.undetectable import Undetectable, undetectable_effects
+from casid.diagnosis.advice.undetectable import Undetectable, absorbed_effects, undetectable_effects
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
-from casid.model.effects.channel_effects import sensor_bias, time_delay
+from casid.model.effects.channel_effects import sensor_bias, sensor_scale, time_delay
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
 from problems import pendulum
@@ -79,6 +79,27 @@ def test_the_scale_of_a_sensor_is_stiffness_damping_and_inertia_together(fitted,
     assert i.visible < 1e-4
     assert {"k", "d", "I_x"} <= set(i.absorbed_by)
     assert "Give one of k, d, I_x a known value, or calibrate" in i.remedy
+
+
+def test_a_gain_about_the_mean_that_shows_hides_no_gain_from_zero(fitted):
+    """About a reading of 0.1 rad/s it is a bias of the gyro besides, which the record shows."""
+    model = fitted.criterion.model
+    about = sensor_scale(model, "gyro", 0.1)
+    assert asked(fitted, [about]) == {}
+    i = asked(fitted, [about, sensor_scale(model, "gyro")])["sensor_scale", "gyro"]
+    imitators = "other values of k, d, I_x, p(0) and phi(0)"
+    assert i.words == f"gain error of gyro (would look like {imitators})"
+
+
+def test_the_gain_of_a_known_input_is_not_among_what_is_undetectable(experiments):
+    """The user says what it is; the list and the advice are made of the same causes."""
+    base = pendulum.problem.model
+    model = base.copy()
+    model.inputs["accel"] = replace(model.inputs["accel"], kind="known")
+    for each, names in ((base, ["accel"]), (model, [])):
+        fit = fit_model(each, experiments, FitSettings(starts=1))
+        table = score_test(fit, [scale(each, "accel")], input_sd={}, draws=50)
+        assert [e.where for _, e in absorbed_effects(table, each)] == names
 
 
 def test_what_is_told_of_the_confounded_parameters_stands_with_them(fitted, monkeypatch):

@@ -57,6 +57,14 @@ def test_the_sentence_says_what_the_numbers_say(p_value, after, words):
     assert words in what_remains([("offset", "torque", 1.0)], part, p_value=p_value).sentence
 
 
+@pytest.mark.parametrize(("chance", "is_more"), [(1.7, False), (1.5, True)])
+def test_an_error_that_chance_gives_is_no_unexplained_one(chance: float, is_more: bool) -> None:
+    part = {"baseline_rmse": {"x": 3.0}, "extended_rmse": {"x": 1.6}, "noise_floor": {"x": 1.0}}
+    r = what_remains([("offset", "torque", 1.0)], part, p_value=0.5, chance={"x": chance})
+    assert ("no effect of the catalogue explains" in r.sentence) == is_more
+    assert ("within what chance" in r.sentence) != is_more
+
+
 def test_what_a_random_disturbance_leaves_is_no_unexplained_misfit():
     part = {"baseline_rmse": {"gyro": 1.6}, "noise_floor": {"gyro": 1.0}}
     r = what_remains([], part, p_value=1e-6, is_random=True)
@@ -106,6 +114,12 @@ def test_a_move_within_its_error_is_not_listed_and_known_parameters_never_are():
     assert moved[0].shift == pytest.approx((0.081 - 0.33) / 0.004)
     assert moved_parameters(d.baseline, d.baseline) == ()
     assert [m.name for m in moved_parameters(d.baseline, extended, at_least=10.0)] == ["d"]
+
+
+@pytest.mark.parametrize(("before", "after"), [(4.2, 0.035), (0.035, 4.2)])
+def test_a_shift_is_judged_by_the_larger_of_both_errors(before: float, after: float) -> None:
+    m = Moved("H_inf", "W/K", 16.25, 24.98, std_error_after=after, std_error_before=before)
+    assert m.shift == pytest.approx((24.98 - 16.25) / 4.2)
 
 
 def test_a_parameter_that_left_for_a_bound_is_listed_without_a_shift():

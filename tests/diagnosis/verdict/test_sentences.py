@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import casid
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.verdict.cause import NOT_ACCEPTED
 from casid.diagnosis.verdict.judgement import refusal_notes
-from casid.diagnosis.verdict.sentences import says_kind, verdict_sentence, why_alternative
+from casid.diagnosis.verdict.sentences import (
+    noise_text,
+    says,
+    says_kind,
+    verdict_sentence,
+    why_alternative,
+)
 from casid.estimation.estimate import Estimated
+from casid.model.effects.channel_effects import hold
 from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
@@ -61,13 +70,13 @@ def test_an_error_that_rises_by_a_hundredth_is_not_said_to_rise(after: float, sa
     ],
 )
 def test_where_the_reason_carries_its_own_mend_no_longer_record_is_asked_for(why):
-    said = advice("undecided", [], None, why)
+    said = advice("undecided", [], (), why)
     assert said == "Correct what the reason above names, then diagnose again."
 
 
 def test_where_the_record_says_too_little_more_of_it_is_asked_for():
     why = "12 samples are too few to judge a model with 4 unknowns; 40 are the least"
-    assert advice("undecided", [], None, why).startswith("Record longer")
+    assert advice("undecided", [], (), why).startswith("Record longer")
 
 
 UNKNOWN = Alternative("unknown", "torque", 0.2, "explains as much", "p^3")
@@ -77,9 +86,9 @@ NAMED = Cause(
 
 
 def test_a_rival_without_a_name_is_told_by_what_it_is_like():
-    assert "from unidentified term in torque (p^3):" in advice("deficient", [NAMED], None, "")
+    assert "from unidentified term in torque (p^3):" in advice("deficient", [NAMED], (), "")
     famous = replace(UNKNOWN, kind="coulomb_friction", description="friction")
-    said = advice("deficient", [replace(NAMED, alternatives=(famous,))], None, "")
+    said = advice("deficient", [replace(NAMED, alternatives=(famous,))], (), "")
     assert "from dry friction in the torque balance:" in said
 
 
@@ -156,7 +165,37 @@ def test_another_variant_of_the_same_effect_leaves_nothing_open():
     other = Alternative("hold", "u", 0.3, "explains as much", "band-limited")
     cause = Cause("hold", "u", 1e-9, (), (other,), sentence="the input u is linear")
     assert cause.tied == ()
-    assert "separate" not in advice("deficient", [cause], None, "")
+    assert "separate" not in advice("deficient", [cause], (), "")
+
+
+def test_a_hold_is_declared_in_the_problem_file_and_needs_no_other_actuator():
+    m = casid.Model("probe")
+    m.derivative(m.state("z", "m"), m.input("eta", "m/s"))
+    effect = hold(m, "eta", "bandlimited")
+    assert 'between its samples (hold="bandlimited"), unlike in the model' in says(effect)
+    cause = Cause("hold", "eta", 1e-4, (), description=effect.description)
+    said = advice("deficient", [cause], (), "")
+    line = 'Declare hold="bandlimited" for eta in the problem file: no equation changes.'
+    assert said == f"{line} Then diagnose again."
+    both = advice("deficient", [cause, replace(NAMED, alternatives=())], (), "")
+    assert both.startswith(f"{line} Use the extended model")
+    assert "sampling rate" not in both
+
+
+def test_a_residual_that_is_noise_implies_nothing_of_an_input():
+    m = casid.Model("probe")
+    m.derivative(m.state("z", "m"), m.input("u", "m/s"))
+    m.output("z", m.symbol("z"), "m")
+    columns = {"u": np.arange(9.0), "z": np.zeros(9)}
+    record = casid.Record(columns, {"u": "m/s", "z": "m"}, Ts=1.0)
+    at: Any = SimpleNamespace(
+        model=m,
+        input_sd={"u": 0.01},
+        full=SimpleNamespace(output_sd=np.array([0.1]), source_sd={"u": 0.3}),
+        criterion=SimpleNamespace(outputs=("z",), experiments=[casid.Experiment(record, {}, "r")]),
+    )
+    assert "the residual implies up to 0.3 m/s" in noise_text(at)["u"]
+    assert noise_text(at, is_all=True)["u"] == "white input noise 10 mm/s"
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,8 @@ def test_a_stop_acts_beyond_its_limit_alone(side, sides):
     truth = solved(rates, [0.1, 0.0])
     effect = end_stop(m, "force", side, 0.0, 0.1, 1e-4)
     assert effect is not None
-    y = simulated(m, effect, {"k_stop": 600.0, "limit": 0.08})
+    positions = {("limit" if len(sides) == 1 else f"limit_{a}"): 0.08 * a for a in sorted(sides)}
+    y = simulated(m, effect, {"k_stop": 600.0, **positions})
     assert y == pytest.approx(truth, abs=5e-4)
     assert np.max(np.abs(truth - 0.1 * np.cos(np.sqrt(90.0) * np.arange(N) * Ts))) > 0.01
 
@@ -103,9 +104,9 @@ def test_a_full_tank_overflows():
     truth = solved(rates, [0.2])
     effect = end_stop(m, "tank", "upper", 0.2, 0.02, 1e-5)
     assert effect is not None
-    y = simulated(m, effect, {"k_stop": 0.05, "limit": 0.01}, u=inflow)
+    y = simulated(m, effect, {"k_stop": 0.05, "limit": 0.21}, u=inflow)
     assert y == pytest.approx(truth, abs=2e-5)
-    dry = simulated(m, effect, {"k_stop": 0.0, "limit": 0.01}, u=inflow)
+    dry = simulated(m, effect, {"k_stop": 0.0, "limit": 0.21}, u=inflow)
     assert dry.max() - truth.max() > 5e-3
 
 
