@@ -125,9 +125,9 @@ class ContactRanges:
     """Where a stop is searched."""
 
     starts: tuple[float, ...] = _is(
-        (0.25, 0.5, 0.7, 0.85),
-        "of half the range from its middle, the positions that the search starts from; at the "
-        "middle a stop on one side is one on the other and a spring",
+        (0.5, 0.7, 0.85),
+        "of half the range from its middle, the positions that the search starts from; a fit from "
+        "the first of them reaches stops that are nearer to the middle",
         _CONTACT,
     )
     one: float = _is(
