@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -9,6 +11,10 @@ from scipy.optimize import nnls
 import casid
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.search import rounds
+from casid.model.declarations import Parameter
+from casid.model.effects.catalogue import catalogue
+from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words
 from problems import roll_decay
 
@@ -70,3 +76,23 @@ def test_candidates_that_break_down_leave_the_one_that_does_not_to_be_named(monk
         failed = [n for n in found.notes if n.partition(" was left out")[0] in names]
         assert failed
         assert "was left out: its numbers break down (SVD did not converge)" in failed[0]
+
+
+def test_an_effect_that_the_model_has_no_solution_with_leaves_the_others_to_be_tested(monkeypatch):
+    record = roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
+
+    def without_an_inertia(model, names):
+        balance = model.balances["torque"]
+        model.balances["torque"] = replace(balance, inertia=0 * balance.inertia)
+
+    size = Parameter("s", "1", 0.0)
+    unsound = Effect("user", "torque", (size,), without_an_inertia)
+
+    def with_it(*arguments, **options):
+        return [*catalogue(*arguments, **options), unsound]
+
+    monkeypatch.setattr(rounds, "catalogue", with_it)
+    found = casid.diagnose(roll_decay.problem, record, advise=False, max_causes=1)
+    assert found.causes[0].kind == "quadratic_damping"
+    (note,) = [n for n in found.notes if "was left out" in n]
+    assert "an inertia must not be zero" in note

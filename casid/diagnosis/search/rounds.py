@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -34,8 +35,12 @@ from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import COMPARISON, REFITS, ROUNDS
+from casid.errors import ModelError
+from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
+from casid.model.effects.effect import Effect
 from casid.model.effects.user_effects import UserEffect, user_effects
+from casid.model.explicit_form import Explicit
 from casid.model.model import Model
 
 
@@ -91,7 +96,7 @@ class Search:
         # A slope of a cause's own size would be a second effect in the place of a first one.
         effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]
         judged = at.unbiased or at.fit
-        table = score_test(judged, effects, input_sd=at.input_sd, seed=self.weighing.seed)
+        table = self._scores(judged, effects, at.input_sd)
         found: list[PeriodicCandidate | CoggingCandidate] = []
         if "periodic_disturbance" not in self.without:
             lines = periodic_candidates(judged, sizes.window)
@@ -100,6 +105,18 @@ class Search:
         if "cogging" not in self.without:
             found += [c for c in cogging_candidates(at, sizes) if c.effect.key not in taken]
         return table.with_peaks([_peak_score(c) for c in found])
+
+    def _scores(
+        self, fit: Fit, effects: Sequence[Effect], input_sd: Mapping[str, float]
+    ) -> ScoreTable:
+        """The scores of all effects, but of those that the model has no solution with."""
+        score = partial(score_test, fit, input_sd=input_sd, seed=self.weighing.seed)
+        try:
+            return score(effects)
+        except ModelError:
+            solve = partial(_solution, fit.criterion.model)
+            solved = [e for e in effects if self.attempts.attempt(name_of(e), partial(solve, e))]
+            return score(solved)
 
     def _references(self, model: Model) -> tuple[str, ...]:
         """Recorded channels that drive an input in a closed loop: no inputs of their own."""
@@ -177,6 +194,11 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         for key in (*named[:most], *unnamed[: ROUNDS.unnamed]):
             chosen.setdefault(key, strongest[key])
     return list(chosen.values())
+
+
+def _solution(model: Model, effect: Effect) -> Explicit:
+    """The equations of a model with an effect, solved for its derivatives."""
+    return effect.extended(model)[0].explicit()
 
 
 def _peak_score(found: PeriodicCandidate | CoggingCandidate) -> Score:
