@@ -137,9 +137,9 @@ class ContactRanges:
         _CONTACT,
     )
     two: float = _is(
-        0.05,
-        "of half the range, the distance from its middle of a stop on either side: at the middle "
-        "both are a spring",
+        0.3,
+        "of half the range, the distance from its middle of a stop on either side: nearer to it "
+        "two soft stops are a spring that hardens, and were named for cubic stiffness",
         _CONTACT,
     )
 
