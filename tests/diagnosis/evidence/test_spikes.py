@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from casid.diagnosis.evidence.corrupted_samples import _above_neighbours
+from casid.diagnosis.evidence.corrupted_samples import _above_neighbours, _beside
 from casid.diagnosis.evidence.spikes import (
     _fourth_moment,
     _from_neighbours,
@@ -203,3 +203,9 @@ def test_a_spike_is_confirmed_by_what_stands_out_of_its_neighbours():
     residual = np.array([3.0, -1.0, 0.05, -1.0, -1.0, np.nan, 2.0])
     mask = np.array([True, False, True, False, False, False, True])
     assert _above_neighbours(residual, mask) == pytest.approx([4.0, 1.05, 2.0])
+
+
+def test_samples_on_either_side_of_an_onset_are_beside_it():
+    times = 100.0 + 2.0 * np.arange(6)
+    assert list(times[_beside(times, [105.3, 110.0])]) == [104.0, 106.0, 108.0, 110.0]
+    assert not _beside(times, []).any()
