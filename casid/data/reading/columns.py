@@ -33,6 +33,7 @@ _UNIT_NAMES = {  # a clock called by its unit alone
     "sec": "s", "secs": "s", "sekunden": "s",
 }  # fmt: skip
 _CLOCK_NAMES = frozenset("time zeit uhrzeit clock heure hora tid tijd".split())
+_ABSCISSAS = frozenset(["x", "x axis", "x values", "abscissa"])
 CLOCK_FORMATS = ("hh:mm", "mm:ss", "hh:mm:ss")
 
 
@@ -211,7 +212,7 @@ def _time_column(table: Table, time: Time) -> ColumnSpec | None:
     if not named:
         named = [c for c in table.columns if c not in table.units and is_dated(table, c)]
         named = named if len(named) == 1 else []
-    for is_clock in (_holds_time, _is_unit_of_time):
+    for is_clock in (_holds_time, _is_unit_of_time, _is_abscissa_in_time):
         if not named:
             named = [c for c in table.columns if is_clock(table, c)]
             named = named if len(named) == 1 else []
@@ -263,6 +264,15 @@ def _holds_time(table: Table, column: str) -> bool:
 def _is_unit_of_time(_: Table, column: str) -> bool:
     """Whether a column is called by a unit of time alone: `ms`, `sec`."""
     return column.strip().casefold() in _UNIT_NAMES
+
+
+def _is_abscissa_in_time(table: Table, column: str) -> bool:
+    """Whether a column is the axis of an oscilloscope's plot and in a unit of time."""
+    found = unit_of_column(table, column)
+    if found is None or found.unit in {None, "1"} or not found.is_sure:
+        return False
+    name = re.sub(r"[\s_\-]+", " ", found.stem).strip().casefold()
+    return name in _ABSCISSAS and _is_time(found.unit)
 
 
 def _date_and_clock(table: Table) -> tuple[str, str] | None:

@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from casid.errors import UnitError
+from casid.model.unit_names import ALIASES, NAMES
 from casid.model.units import ambiguous_units, parse_unit, same_dimension
 
 _BRACKET = re.compile(r"(.*?)\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*([^>]*?)\s*>)\s*(.*)")
@@ -58,6 +59,15 @@ _WRITTEN = {
     "bool": "1",
     "0/1": "1",
 }
+# Names in full, in small letters and in the singular.
+_IN_FULL = {alias: name for alias, name in ALIASES.items() if len(alias) > 2 and alias.isalpha()}
+_IN_FULL |= {
+    entry.pint.casefold().replace("_", " "): name
+    for name, entry in reversed(NAMES.items())
+    if entry.pint.isidentifier() and len(entry.pint) > 2 and entry.pint != "pound"  # mass or force
+}
+_IN_FULL |= {w.replace("meter", "metre").replace("liter", "litre"): n for w, n in _IN_FULL.items()}
+_IN_FULL["kilogram"] = "kg"
 # Names with two readings, as units of the list; the model's unit may settle which.
 _READINGS = {
     "C": ("degC", "coulomb"),
@@ -129,12 +139,17 @@ def header_unit(column: str) -> HeaderUnit | None:
                 return found
     stem, underscore, ending = column.rpartition("_")
     if stem and underscore and ending:
-        hint = None if ending in _NO_ENDINGS else _reads(ending)
+        hint = None if _is_no_ending(ending) else _reads(ending)
         return HeaderUnit(ending, hint, stem, False) if hint else None
-    if space and space[2] not in _NO_ENDINGS and (len(space[2]) > 1 or not space[2].isalpha()):
+    if space and not _is_no_ending(space[2]) and (len(space[2]) > 1 or not space[2].isalpha()):
         hint = _reads(space[2])
         return HeaderUnit(space[2], hint, space[1], space[2][0] in "°%") if hint else None
     return None
+
+
+def _is_no_ending(text: str) -> bool:
+    """Whether an ending is rather a word; of single letters the case tells."""
+    return text in _NO_ENDINGS or (len(text) > 1 and text.casefold() in _NO_ENDINGS)
 
 
 def written_unit(text: str, stem: str = "") -> HeaderUnit:
@@ -156,7 +171,7 @@ def _reads(text: str) -> str | None:
         return "1"
     if text.casefold() in _TWO_FOLD:
         return None
-    for candidate in (text, _WRITTEN.get(text.casefold())):
+    for candidate in (text, _WRITTEN.get(text.casefold()), _symbols(text)):
         if candidate is None:
             continue
         try:
@@ -165,6 +180,20 @@ def _reads(text: str) -> str | None:
             continue
         return candidate
     return None
+
+
+def _symbols(text: str) -> str:
+    """A unit in words as symbols: Meter per second, Newton metre."""
+    parts = re.split(r"\s+per\s+|\s*/\s*", text)
+    return "/".join(
+        _in_full(part) or " ".join(_in_full(word) or word for word in part.split())
+        for part in parts
+    )
+
+
+def _in_full(word: str) -> str | None:
+    word = word.casefold()
+    return _IN_FULL.get(word) or _IN_FULL.get(word.removesuffix("s"))
 
 
 def _readings_of(text: str) -> str:

@@ -42,6 +42,7 @@ class _Simulated:
     used: list[Array]
     inputs: list[Array]  # (N, nu), those recorded
     anew: list[Array]  # samples at which the simulation starts anew
+    times: list[Array]  # (N,) [s]
 
     @property
     def residuals(self) -> list[Array]:
@@ -124,17 +125,27 @@ def without_corrupted(
     return CorruptedSamples(tuple(spikes), tuple(plateaus), tuple(standstills), first), split
 
 
-def confirmed(spikes: Spikes, fit: Fit, split: Split) -> Spikes | None:
+def confirmed(
+    spikes: Spikes, fit: Fit, split: Split, onsets: Sequence[float] = ()
+) -> Spikes | None:
     """The spikes of which another model leaves the larger part; None where there are none.
 
-    Fast misfit, after a step of an input, may stand out like a spike until its cause is known.
+    Fast misfit, after a step of an input, may stand out like a spike until its cause is known. So
+    may the sample beside a step: left out, it no longer says on which side of it the step is.
+
+    Parameters
+    ----------
+    onsets : instants at which an effect of that model sets in [s], on the fitted records' clock.
     """
     at = _channel(fit, split, fit.criterion.outputs.index(spikes.channel))
     left = []
     for e, mask in enumerate(spikes.masks):
         residual = np.where(at.used[e], at.measured[e], np.nan) - at.simulated[e]
         residual[mask] = spikes.measured[e] - at.simulated[e][mask]
-        left.append(_above_neighbours(residual, mask) > OUTLIERS.left * spikes.heights[e])
+        kept = _above_neighbours(residual, mask) > OUTLIERS.left * spikes.heights[e]
+        if e < len(split.whole):
+            kept &= ~_beside(at.times[e], onsets)[mask]
+        left.append(kept)
     count = int(sum(kept.sum() for kept in left))
     if not count:
         return None
@@ -153,6 +164,14 @@ def confirmed(spikes: Spikes, fit: Fit, split: Split) -> Spikes | None:
         size=float(np.median(height)),
         energy=float(np.sum(height**2)),
     )
+
+
+def _beside(times: Array, onsets: Sequence[float]) -> Array:
+    """Samples (N,) that are a sample or less from an onset."""
+    near = np.zeros(len(times), dtype=bool)
+    for onset in onsets:
+        near |= np.abs(times - onset) <= np.median(np.diff(times))
+    return near
 
 
 def _above_neighbours(residual: Array, mask: Array) -> Array:
@@ -183,6 +202,7 @@ def _channel(fit: Fit, split: Split, i: int) -> _Simulated:
         [d.used[:, i].copy() for d, _, _ in runs],
         [d.u[:, recorded] for d, _, _ in runs],
         restarts(fit, split),
+        [d.t for d, _, _ in runs],
     )
 
 

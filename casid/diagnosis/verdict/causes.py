@@ -16,6 +16,7 @@ from casid.diagnosis.evidence.stuck_sensors import Standstills
 from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
 from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.findings import Findings
+from casid.diagnosis.search.jump_times import events_of
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, SCORES
 from casid.diagnosis.verdict.cause import Alternative, Cause
@@ -42,7 +43,8 @@ def causes_of(
     # Few and small spikes are left out of the fit, but are nothing that a user would miss.
     least = JUDGING.small_outliers * fit.solution.value
     corrupted = found.baseline.corrupted
-    spikes = [confirmed(s, fit, found.baseline.split) for s in corrupted.spikes]
+    onsets = events_of([a.candidate for a in found.adopted])
+    spikes = [confirmed(s, fit, found.baseline.split, onsets) for s in corrupted.spikes]
     kept = [s for s in spikes if s is not None and s.energy * scale[s.channel] > least]
     samples = [(s.energy * scale[s.channel], _outliers(found.search, s)) for s in kept]
     samples += [  # a fact, however little it cuts off

@@ -27,13 +27,17 @@ from casid.identification.signs_from_simulation import WrongSign
 def rmse(
     fit: Fit, reference: Fit, split: Split, limits: dict[str, float], *, held: bool
 ) -> dict[str, float]:
-    """Rms error by output over all records, on samples that no clipping touches."""
+    """Rms error by output over all records.
+
+    Left out is what no model can tell: what `reference` clips, and what of its delayed or lagging
+    outputs is due to inputs before the record.
+    """
     outputs = fit.criterion.outputs
     parts: list[Array] = []
     for e in range(len(split.whole)):
         d, y, _ = whole_simulation(fit, split, e)
         _, best, _ = whole_simulation(reference, split, e)
-        error = np.where(d.used, d.y - y, np.nan)
+        error = np.where(d.used & ~reference.criterion.due_to_earlier(d), d.y - y, np.nan)
         for name, level in limits.items():
             i = outputs.index(name)
             error[np.abs(best[:, i]) >= FUNCTIONS.at_limit * level, i] = np.nan

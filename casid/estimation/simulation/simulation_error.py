@@ -181,13 +181,18 @@ class SimulationError:
 
     def _burn(self) -> None:
         """Leave out the first samples of delayed or lagging outputs, due to earlier inputs."""
+        for d in self.data:
+            d.used[self.due_to_earlier(d)] = False
+
+    def due_to_earlier(self, d: Signals) -> Array:
+        """(N, ny) the first samples of delayed or lagging outputs, due to earlier inputs."""
+        out = np.zeros(d.used.shape, dtype=bool)
         for stage in self.model.stages:
-            if stage.kind not in MEMORY:
-                continue
-            column = self.outputs.index(stage.channel)
-            longest = MEMORY[stage.kind] * self.model.parameters[stage.parameter].upper
-            for d in self.data:
-                d.used[: min(int(np.ceil(longest / d.Ts)) + 1, d.N), column] = False
+            if stage.kind in MEMORY:
+                longest = MEMORY[stage.kind] * self.model.parameters[stage.parameter].upper
+                first = min(int(np.ceil(longest / d.Ts)) + 1, d.N)
+                out[:first, self.outputs.index(stage.channel)] = True
+        return out
 
     def _bound_initial_states(self) -> None:
         """Keep initial states near the motion: the samples left out may be all that tell of them.

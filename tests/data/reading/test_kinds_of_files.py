@@ -253,6 +253,9 @@ KINDS = [
     # ------------------------------------------------------------------ headers
     Kind("row of units", "t;F;phi\ns;N;°\n" + table(separator=";").partition("\n")[2],
          force="F", angle="phi", said="units from a row of units"),
+    Kind("units in full below the names, as oscilloscopes write them",
+         "DSO\n\n" + table("x-axis,F,phi").replace("\n", "\nsecond,Newton,Degree\n", 1),
+         force="F", angle="phi", said="units from a row of units"),
     Kind("line breaks in the names, as Excel has them", table('"t\n(s)","F\r\n[N]","phi\n[deg]"')),
     Kind("a line above the names with a quote of its own", '5" drum\n' + table()),
     Kind("row of units at the end", table("t,F,phi") + "[s],[N],[deg]\n", force="F", angle="phi"),

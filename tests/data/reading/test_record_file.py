@@ -161,7 +161,10 @@ def test_stamps_rounded_to_single_precision_are_uniform():
     ("column", "unit"),
     [("phi_rad", "rad"), ("q_meas_m", "m"), ("u_V", "V"), ("p_degps", "degps"), ("n_rpm", "rpm"),
      ("v [m/s]", "m/s"), ("u (V)", "V"), ("x_g", None), ("x_bar", None), ("a_s", None),
-     ("x_min", None), ("y", None), ("x []", "1"), ("u_ms", None), ("T [degC]", "degC")],
+     ("x_min", None), ("y", None), ("x []", "1"), ("u_ms", None), ("T [degC]", "degC"),
+     ("u [Volt]", "V"), ("v (Meters per Second)", "m/s"), ("M in Newton metre", "N m"),
+     ("p [Kilopascal]", "kPa"), ("T [Degree Celsius]", "degC"), ("m [Pound]", None),
+     ("x_Second", None), ("x_Bar", None)],
 )  # fmt: skip
 def test_the_ending_of_a_name_gives_the_unit_where_it_has_one_reading(column, unit):
     found = header_unit(column)
@@ -503,10 +506,17 @@ def test_a_row_that_is_there_twice_is_read_once(csv):
         ("TimeUS", 1e-6),
         ("timeMs", 1e-3),
         ("timestamp_ns", 1e-9),
+        ("x-axis [ms]", 1e-3),
+        ("X (Second)", 1.0),
     ],
 )
 def test_a_clock_may_be_called_by_its_unit_or_end_with_it(csv, header, step):
     assert read_record(csv(f"{header},y\n0,1\n1,2\n2,4\n")).Ts == pytest.approx(step)
+
+
+def test_an_axis_that_is_in_no_unit_of_time_is_no_clock(csv):
+    with pytest.raises(DataError, match="no time column"):
+        read_record(csv("x-axis [mm],y\n0,1\n1,2\n2,4\n"))
 
 
 def test_a_clock_called_time_has_precedence_over_a_column_called_by_a_unit(csv):

@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from casid.diagnosis.evidence.corrupted_samples import _above_neighbours
+from casid.diagnosis.evidence.corrupted_samples import _above_neighbours, _beside
 from casid.diagnosis.evidence.spikes import (
     _fourth_moment,
     _from_neighbours,
@@ -140,6 +140,23 @@ def test_what_happens_all_the_time_is_no_outlier():
     assert find_spikes("y", [r], ALPHA, largest_share=0.1) is not None
 
 
+def test_a_step_of_the_residual_is_no_outlier_and_an_outlier_far_from_it_is_one():
+    """A step shows all of its d beside it on one side, a spike half of it on either.
+
+    Beside a step of 24 the sides' halves differ by 1/2, with a standard deviation of 0.07: of 40
+    such steps none of 0.25 is expected to look even.
+    """
+    for seed in range(40):
+        r = np.random.default_rng(seed).standard_normal(2000)
+        r[1200:] += 24.0
+        found = find_spikes("y", [r], ALPHA)
+        assert found is None or not found.masks[0][1198:1202].any()
+        r[300] += 16.0
+        found = find_spikes("y", [r], ALPHA)
+        assert found is not None
+        assert list(np.flatnonzero(found.masks[0])) == [300]
+
+
 def test_records_too_short_to_judge_have_no_outliers():
     r = np.zeros(19)
     r[9] = 100.0
@@ -186,3 +203,9 @@ def test_a_spike_is_confirmed_by_what_stands_out_of_its_neighbours():
     residual = np.array([3.0, -1.0, 0.05, -1.0, -1.0, np.nan, 2.0])
     mask = np.array([True, False, True, False, False, False, True])
     assert _above_neighbours(residual, mask) == pytest.approx([4.0, 1.05, 2.0])
+
+
+def test_samples_on_either_side_of_an_onset_are_beside_it():
+    times = 100.0 + 2.0 * np.arange(6)
+    assert list(times[_beside(times, [105.3, 110.0])]) == [104.0, 106.0, 108.0, 110.0]
+    assert not _beside(times, []).any()
