@@ -186,7 +186,9 @@ def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     motion = sizes.motion_of(q)
     if not place.is_mechanical and not motion.is_signed:
         return []
-    sides: tuple[Side, ...] = ("both", "upper", "lower") if place.is_mechanical else ("upper",)
+    sides: tuple[Side, ...] = ("upper",)
+    if place.is_mechanical:
+        sides = ("both", "symmetric", "upper", "lower")
     middle, reach = 0.5 * (motion.low + motion.high), 0.5 * (motion.high - motion.low)
     if not np.isfinite(reach) or reach <= 0.0:
         return []

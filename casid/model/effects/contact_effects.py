@@ -18,17 +18,19 @@ from casid.model.effects.search_ranges import CONTACT_RANGES
 from casid.model.model import Model
 from casid.model.units import unit_quotient
 
-Side = Literal["both", "upper", "lower"]
-_VARIANT = {"both": 0.0, "upper": 1.0, "lower": -1.0}
+Side = Literal["both", "symmetric", "upper", "lower"]
+_VARIANT = {"both": 0.0, "symmetric": 2.0, "upper": 1.0, "lower": -1.0}
 _LIMITS: Mapping[Side, Mapping[str, float]] = {
     "upper": {"limit": 1.0},
     "lower": {"limit": -1.0},
+    "symmetric": {"limit": 1.0},
     "both": {"limit_lower": -1.0, "limit_upper": 1.0},
 }
 """Positions of the stops of each side, and the direction in which each is met."""
 _ACTS: Mapping[Side, str] = {
     "upper": "where {q} is above limit",
     "lower": "where {q} is below limit",
+    "symmetric": "where {q} is farther from zero than limit",
     "both": "where {q} is below limit_lower or above limit_upper",
 }
 
@@ -46,8 +48,9 @@ def end_stop(
 
     -k_stop r(q - limit) on the upper side, r(x) = (x + sqrt(x^2 + e^2)) / 2: nothing before the
     stop, a spring in it, with a corner rounded over e. Stops on both sides have a position each,
-    `limit_lower` and `limit_upper`. In a store without a position the stop is an overflow: q is
-    the content. None where a mechanical place has no position.
+    `limit_lower` and `limit_upper`, symmetric ones are at limit and -limit. In a store without a
+    position the stop is an overflow: q is the content. None where a mechanical place has no
+    position, and for symmetric stops of a motion about elsewhere than zero.
 
     Parameters
     ----------
@@ -63,21 +66,19 @@ def end_stop(
         if place.is_mechanical or place.velocity is None:
             return None
         q, name, unit = place.velocity, place.velocity_name, place.velocity_unit
-    limits = _LIMITS[side]
-    nearest = (CONTACT_RANGES.one if len(limits) == 1 else CONTACT_RANGES.two) * reach
-    positions = []
-    for limit, sign in limits.items():
-        low, high = sorted((sign * nearest, sign * reach))
-        at = middle + sign * start * reach
-        positions.append(Parameter(limit, unit, at, lower=middle + low, upper=middle + high))
+    if side == "symmetric":
+        if abs(middle) > CONTACT_RANGES.two * reach:
+            return None
+        middle = 0.0
+    positions = _positions(side, unit, middle, reach, start)
     stiffness = Parameter("k_stop", unit_quotient(place.unit, unit, 1), 0.0, lower=0.0)
     square = carrying_unit(width**2)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         k = new.symbol(names[0])
         force = ca.SX(0.0)
-        for limit, sign in zip(names[1:], limits.values(), strict=True):
-            into = sign * (q - new.symbol(limit))
+        for limit, sign in _stops(side, [new.symbol(n) for n in names[1:]]):
+            into = sign * (q - limit)
             force = force - sign * k * (into + ca.sqrt(into**2 + square)) / 2
         place.add(new, force)
         known_while_null(new, names)
@@ -96,6 +97,25 @@ def end_stop(
         constants={"width": width},
         declared_units={p.name: shown for p in positions} if shown else {},
     )
+
+
+def _positions(side: Side, unit: str, middle: float, reach: float, start: float) -> list[Parameter]:
+    """The positions of the stops, as parameters, within the range that is searched."""
+    nearest = (CONTACT_RANGES.one if side in ("upper", "lower") else CONTACT_RANGES.two) * reach
+    found = []
+    for limit, sign in _LIMITS[side].items():
+        low, high = sorted((sign * nearest, sign * reach))
+        at = middle + sign * start * reach
+        found.append(Parameter(limit, unit, at, lower=middle + low, upper=middle + high))
+    return found
+
+
+def _stops(side: Side, positions: Sequence[Any]) -> list[tuple[Any, float]]:
+    """Every stop with the direction in which it is met."""
+    stops = list(zip(positions, _LIMITS[side].values(), strict=True))
+    if side == "symmetric":
+        stops += [(-position, -sign) for position, sign in stops]
+    return stops
 
 
 def backlash(

@@ -65,7 +65,10 @@ def test_bodies_with_play_between_them_move_freely_in_it():
     assert np.max(np.abs(rigid - truth)) > 0.01
 
 
-@pytest.mark.parametrize(("side", "sides"), [("both", (1, -1)), ("upper", (1,)), ("lower", (-1,))])
+@pytest.mark.parametrize(
+    ("side", "sides"),
+    [("both", (1, -1)), ("symmetric", (1, -1)), ("upper", (1,)), ("lower", (-1,))],
+)
 def test_a_stop_acts_beyond_its_limit_alone(side, sides):
     m = casid.Model("mass")
     x, v = m.state("x", "m", initial=0.1), m.state("v", "m/s", initial=0.0)
@@ -81,10 +84,22 @@ def test_a_stop_acts_beyond_its_limit_alone(side, sides):
     truth = solved(rates, [0.1, 0.0])
     effect = end_stop(m, "force", side, 0.0, 0.1, 1e-4)
     assert effect is not None
-    positions = {("limit" if len(sides) == 1 else f"limit_{a}"): 0.08 * a for a in sorted(sides)}
+    ends = sides if side != "both" else (-1, 1)
+    ends = ends[:1] if side == "symmetric" else ends
+    positions = {("limit" if len(ends) == 1 else f"limit_{a}"): 0.08 * a for a in ends}
     y = simulated(m, effect, {"k_stop": 600.0, **positions})
     assert y == pytest.approx(truth, abs=5e-4)
     assert np.max(np.abs(truth - 0.1 * np.cos(np.sqrt(90.0) * np.arange(N) * Ts))) > 0.01
+
+
+def test_stops_that_are_symmetric_about_zero_are_none_of_a_motion_about_elsewhere():
+    m = casid.Model("mass")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=m.constant("m", 1.0, "kg"), terms=[-x], unit="N")
+    m.output("position", x, "m")
+    assert end_stop(m, "force", "symmetric", 0.02, 0.1, 1e-4) is not None
+    assert end_stop(m, "force", "symmetric", 0.2, 0.1, 1e-4) is None
 
 
 def test_a_full_tank_overflows():
