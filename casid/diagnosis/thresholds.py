@@ -120,12 +120,6 @@ class Outliers:
     neighbours: tuple[float, float] = _is(
         (0.15, 0.85), "of a large spike, turned round, that its two neighbours show", _SPIKES
     )
-    uneven: float = _is(
-        0.25,
-        "of a large spike, by which each of its neighbours may differ from their mean: those of a "
-        "spike are alike, and beside a step they differ by a half",
-        _SPIKES,
-    )
     after_steps: int = _is(
         2, "samples after an input's step in which a spike may be a response to it", _SPIKES
     )

@@ -178,15 +178,11 @@ def _is_white(differences: Sequence[Array]) -> bool:
 
 
 def _stands_alone(near: Array, top: float, sd: float) -> bool:
-    """False where a large d has not half of it, with the other sign, on both sides.
-
-    A step has all of it on one side and nothing on the other, half of it on average.
-    """
+    """False where a large d has not half of it, with the other sign, on both sides on average."""
     if len(near) < 3 or abs(top) < OUTLIERS.large * sd:
         return True
     least, most = OUTLIERS.neighbours
-    is_even = abs(float(near[0] - near[2])) < 2 * OUTLIERS.uneven * abs(top)
-    return is_even and least < -float(near[0] + near[2]) / (2 * top) < most
+    return least < -float(near[0] + near[2]) / (2 * top) < most
 
 
 def _largest(d: Array) -> float:
