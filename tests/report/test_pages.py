@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import pytest
 
 import casid
+from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.model.quantities import unit_text
 from casid.report.figures.diagnosis import diagnosis_figures
 from tests.support import sample_parts, samples
@@ -72,6 +73,18 @@ def test_a_diagnosis_without_a_cause_says_why(make, words):
     text = Seen(page_of(make())).text
     for word in words:
         assert word in text
+
+
+def test_a_model_beside_a_large_disturbance_is_not_said_to_explain_the_record():
+    explains = "The model explains this record"
+    assert explains in Seen(page_of(samples.adequate())).text
+    for share, is_said in ((0.3, True), (0.9, False)):
+        beside = samples.changed(
+            samples.adequate(), disturbances=(Disturbance("torque", 0.1, "N m", share),)
+        )
+        text = Seen(page_of(beside)).text
+        assert (explains in text) is is_said
+        assert ("A disturbance that nobody recorded" in text) is not is_said
 
 
 def test_everything_the_diagnosis_knows_stands_in_the_text(page):

@@ -111,7 +111,10 @@ def decision(d: Diagnosis) -> list[Section]:
     facts = Facts.of(d)
     warnings = [w for e in d.estimates.values() for w in e.warnings]
     look = d.verdict if d.verdict in _VERDICTS else "undecided"
-    banner = Banner(d.verdict, _VERDICTS[look], d.sentence, look)
+    words = _VERDICTS[look]
+    if look == "adequate" and any(each.is_dominant for each in d.disturbances):
+        words = "A disturbance that nobody recorded makes most of the residual"
+    banner = Banner(d.verdict, words, d.sentence, look)
     cards = Cards([*_gains(facts), *_how_sure(d, facts)][:8])
     explained = Paragraph(P_VALUE, look="facts") if d.causes else None
     change = [_changed_equations(d), _new_parameters(d)] if d.causes else []
