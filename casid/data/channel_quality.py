@@ -224,8 +224,7 @@ def _some_missing(record: Record, name: str) -> Finding:
             name,
             f"has a value in one row of {gaps.rate} alone: a clock of its own, of "
             f"{gaps.rate * record.Ts:.6g} s.",
-            "An output counts at its own instants; an input is held or joined between them, as "
-            "the model declares.",
+            f"{_ON_ITS_OWN_CLOCK}.",
         )
     if gaps.missing > record.N // 2 and gaps.missing < record.N - 1:
         return _own_clock(record, name)
@@ -241,6 +240,12 @@ def _some_missing(record: Record, name: str) -> Finding:
     )
 
 
+_ON_ITS_OWN_CLOCK = (
+    "An output counts at its own instants; an input is held or joined between them, as the model "
+    "declares"
+)
+
+
 def _own_clock(record: Record, name: str) -> Finding:
     """The instants of a channel that has a value in few rows, at uneven distances."""
     there = np.flatnonzero(~record.is_missing(name))
@@ -251,10 +256,7 @@ def _own_clock(record: Record, name: str) -> Finding:
         f"a clock of its own: {there.size} samples, {record.Ts * steps.min():.4g} to "
         f"{record.Ts * steps.max():.4g} s apart, {record.Ts * usual:.4g} s as a rule"
     )
-    remedy = (
-        "An output counts at its own instants; an input is held or joined between them, as the "
-        "model declares"
-    )
+    remedy = _ON_ITS_OWN_CLOCK
     if gaps.size:
         gone = round(float(np.sum(steps[gaps] / usual - 1)))
         at = there[int(np.argmax(steps))]
