@@ -291,11 +291,6 @@ class Residual:
         "given up for nothing",
         f"{TESTS}/verdict/test_held_out_noise.py",
     )
-    small_step: float = _is(
-        0.1,
-        "of a standard deviation, the step by which the simulation is differentiated along it",
-        f"{TESTS}/verdict/test_held_out_noise.py",
-    )
 
 
 _REFERENCES = f"{TESTS}/evidence/test_loop_references.py"
@@ -642,7 +637,7 @@ class Description:
         0.01,
         "frequency [Hz] of a disturbance below which its period is said as well",
         f"{TESTS}/evidence/test_disturbances.py",
-        "what takes minutes is told by its time",
+        "a period of minutes or more is easier to recognise than its frequency",
     )
     apart: float = _is(
         12.0,

@@ -57,32 +57,30 @@ class Disturbance:
         """The spectrum that `identify(disturbances=...)` has for one like it."""
         if self.peak is None:
             return "white"
-        return "peak" if self.peak > 0 else "first"
+        return "first" if self._band is None else "peak"
+
+    @property
+    def _band(self) -> tuple[float, float] | None:
+        """Peak and width [Hz] of a spectrum that is narrow; None for a low-pass or a flat one."""
+        if self.peak is None or self.bandwidth is None or self.bandwidth > 2 * self.peak:
+            return None
+        return self.peak, self.bandwidth
 
     @property
     def sentence(self) -> str:
         """The disturbance in words."""
         if self.peak is None:
             spectrum = "flat spectrum"
-        elif self.bandwidth is None or self.bandwidth > 2 * self.peak:
+        elif self._band is None:
             spectrum = f"most of its power below {quantity_text(self.highest, 'Hz')}"
         else:
-            peak, width = quantity_text(self.peak, "Hz"), quantity_text(self.bandwidth, "Hz")
-            spectrum = f"a band {width} wide around {peak}{self._period}"
+            peak, width = (quantity_text(each, "Hz") for each in self._band)
+            spectrum = f"a band {width} wide around {peak}{_period_text(*self._band)}"
         return (
             f"an unrecorded random disturbance acts on {self.where}: standard deviation "
             f"{quantity_text(self.std, self.unit)}, {spectrum}, {100 * self.share:.0f} % of the "
             "residual"
         )
-
-    @property
-    def _period(self) -> str:
-        """The period of a slow peak, and whether a day is among those of its band."""
-        if not self.peak or not self.bandwidth or self.peak > DESCRIPTION.slow:
-            return ""
-        is_daily = 2 * abs(self.peak - 1 / DAY) <= self.bandwidth
-        day = "; once a day, as sun and use come, is in that band" if is_daily else ""
-        return f" (a period of {quantity_text(1 / self.peak, 's')}{day})"
 
     @property
     def highest(self) -> float:
@@ -105,6 +103,15 @@ class Disturbance:
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` has it."""
         return plain_fields(self, "sentence")
+
+
+def _period_text(peak: float, width: float) -> str:
+    """The period of a slow peak [Hz], and whether a day is among those of its band."""
+    if peak > DESCRIPTION.slow:
+        return ""
+    is_daily = 2 * abs(peak - 1 / DAY) <= width
+    day = "; once a day, as sun and use come, is in that band" if is_daily else ""
+    return f" (a period of {quantity_text(1 / peak, 's')}{day})"
 
 
 def disturbances_of(at: Weighted) -> tuple[Disturbance, ...]:

@@ -21,6 +21,7 @@ from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.signals import signals_of
 from casid.identification.signs_from_simulation import WrongSign
 
 
@@ -29,8 +30,8 @@ def rmse(
 ) -> dict[str, float]:
     """Rms error by output over all records.
 
-    Left out is what no model can tell: what `reference` clips, and what of its delayed or lagging
-    outputs is due to inputs before the record.
+    Samples that `reference` clips are left out, and the first samples of its delayed or lagging
+    outputs, which depend on inputs before the record.
     """
     outputs = fit.criterion.outputs
     parts: list[Array] = []
@@ -104,16 +105,13 @@ def chance_over_floor(
         return {}
     free = [2 / np.maximum(at.full.spread(0, n) ** 2, TINY) for n in (held, fitted)]
     moved = np.zeros(len(outputs))
-    values, vectors = np.linalg.eigh(covariance)
-    steps = vectors[:, values > 0] * np.sqrt(values[values > 0])
     for e, mask in enumerate(split.held):
         if not mask.any() or fit.criterion.parts(e) > 1:
             continue
-        d, y, _ = whole_simulation(fit, split, e)
-        for step in steps.T:
-            other = fit.criterion.simulate(fit.x + RESIDUAL.small_step * step, e, signals=d)[0]
-            change = np.where(d.used, other - y, 0.0)[mask] / RESIDUAL.small_step
-            moved += np.nan_to_num(np.sum(change**2, axis=0), nan=0.0, posinf=0.0)
+        d = signals_of(fit.criterion.model, split.whole[e])
+        slopes = fit.criterion.simulated(fit.x, e, signals=d).jacobian[mask]
+        square = np.sum((slopes @ covariance) * slopes, axis=(0, 2))
+        moved += np.nan_to_num(square, nan=0.0, posinf=0.0)
     level = RESIDUAL.held_out_chance
     size = np.array([floor.get(o, 0.0) for o in outputs])
     by_estimates = chi2.isf(level, 1) * moved / held / np.maximum(size**2, TINY)

@@ -83,6 +83,9 @@ def test_a_disturbance_has_the_unit_that_is_requested_and_a_spectrum_in_words():
     assert "a band 0.2 Hz wide around 1.4 Hz" in narrow.sentence
     assert "most of its power below 1.7 Hz" in replace(narrow, bandwidth=2.0, peak=0.7).sentence
     assert "flat spectrum" in replace(narrow, bandwidth=None, peak=None).sentence
+    assert narrow.spectral_form == "peak"
+    assert replace(narrow, bandwidth=2.0, peak=0.7).spectral_form == "first"
+    assert replace(narrow, bandwidth=None, peak=None).spectral_form == "white"
 
 
 def test_a_slow_disturbance_is_told_by_its_period_and_a_daily_one_as_such():
