@@ -517,7 +517,7 @@ class Friction:
         _FRICTION,
     )
     in_the_end: int = _is(
-        100_000, "steps of a simulation up to which the reversal is resolved in the end", _FRICTION
+        400_000, "steps of a simulation up to which the reversal is resolved in the end", _FRICTION
     )
     doublings: int = _is(
         8, "times that the speed is halved or doubled beside all causes, at most", _FRICTION

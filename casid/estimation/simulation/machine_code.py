@@ -29,10 +29,12 @@ from casid.arrays import Array
 from casid.compiler import compiler, shared_library
 from casid.errors import DataError
 
-Steps = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
+Steps = Callable[[Array, Array, Array, Array, Array, Array, Array, float], None]
 """Runs steps over samples: state (changed in place), inputs (N, nu) with their courses, inputs a
 sample later, the parameters, the shares of a sample at which steps begin, have their middle and
-end, kept states (N, nx) and outputs (N, ny), which it writes; all in C order."""
+end, kept states (N, nx) and outputs (N, ny), which it writes, all in C order; and to what share of
+the states one step of a whole sample and two of half of it have to agree for the two to be taken,
+0 where none are."""
 
 LOOKED_FOR = 2000
 """Samples after which a step is looked for among those compiled before: reading its formula takes
@@ -71,18 +73,37 @@ __attribute__ ((visibility ("default")))
 #endif
 void steps(long long count, long long substeps, double *state, const double *u,
            const double *after, const double *p, const double *shares, double *numbers,
-           double *kept, double *out) {
+           double *kept, double *out, double easy) {
   static const int banded[] = {%(banded)s};
+  static const double parts[3][3] = {{0, 0.5, 1}, {0, 0.25, 0.5}, {0.5, 0.75, 1}};
   const long long inside = 2 * substeps - 1, width = %(nu)d + %(nb)d * inside;
   const double *arg[5];
   double *res[3];
-  double next[%(n_state)d], spare[%(row)d + 1], within[3 * (1 + %(nb)d)];
+  double next[%(n_state)d], once[%(n_state)d], half[%(n_state)d];
+  double spare[%(row)d + 1], within[3 * (1 + %(nb)d)];
   long long k, i;
-  int j;
-  arg[0] = state; arg[3] = p; arg[4] = within; res[0] = next;
+  int j, is_easy;
+  arg[3] = p;
   for (k = 0; k < count; ++k) {
-    arg[1] = u + k * width; arg[2] = after + k * %(nu)d;
-    for (i = 0; i < substeps; ++i) {
+    arg[0] = state; arg[1] = u + k * width; arg[2] = after + k * %(nu)d; arg[4] = within;
+    res[0] = next;
+    is_easy = easy > 0;
+    if (is_easy) {
+      arg[4] = parts[0]; res[0] = once; res[1] = out + k * %(row)d; res[2] = spare;
+      %(name)s(arg, res, 0, numbers, 0);
+      arg[4] = parts[1]; res[0] = half; res[1] = spare;
+      %(name)s(arg, res, 0, numbers, 0);
+      arg[0] = half; arg[4] = parts[2]; res[0] = next;
+      res[2] = out + k * %(row)d + %(n_out)d;
+      %(name)s(arg, res, 0, numbers, 0);
+      for (j = 0; j < %(nx)d; ++j)
+        is_easy = is_easy
+          && fabs(next[j] - once[j]) <= easy * fmax(fabs(state[j]), fabs(next[j]));
+      arg[0] = state; arg[4] = within;
+    }
+    if (is_easy)
+      for (j = 0; j < %(n_state)d; ++j) state[j] = next[j];
+    for (i = 0; i < substeps && !is_easy; ++i) {
       for (j = 0; j < 3; ++j) within[j] = shares[2 * i + j];
       for (j = 0; j < %(nb)d; ++j) {
         const double begin = arg[1][banded[j]], end = arg[2][banded[j]];
@@ -164,10 +185,17 @@ def _enough(n: int) -> tuple[float, float]:
 
 def _called(entry: Any, numbers: Array) -> Steps:
     def steps(
-        state: Array, u: Array, after: Array, p: Array, shares: Array, kept: Array, out: Array
+        state: Array,
+        u: Array,
+        after: Array,
+        p: Array,
+        shares: Array,
+        kept: Array,
+        out: Array,
+        easy: float,
     ) -> None:
         arrays = (state, u, after, p, shares, numbers, kept, out)
-        entry(len(u), len(shares) // 2, *(each.ctypes.data for each in arrays))
+        entry(len(u), len(shares) // 2, *(each.ctypes.data for each in arrays), easy)
 
     return steps
 
@@ -206,7 +234,7 @@ def _loaded(path: str) -> Any:
         entry = ctypes.CDLL(path).steps
     except (OSError, AttributeError):
         return None
-    entry.argtypes = [ctypes.c_longlong, ctypes.c_longlong, *[ctypes.c_void_p] * 8]
+    entry.argtypes = [ctypes.c_longlong] * 2 + [ctypes.c_void_p] * 8 + [ctypes.c_double]
     entry.restype = None
     return entry
 

@@ -12,7 +12,11 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.simulation.band_limited import between_samples
 from casid.estimation.simulation.machine_code import MachineCode
+from casid.estimation.simulation.thresholds import STEPS
 from casid.time_limit import require_time
+
+EASY_PARTS = (0.0, 0.5, 1.0), (0.0, 0.25, 0.5), (0.5, 0.75, 1.0)
+"""Shares of a sample at which one step, and two that are to agree with it, have their ends."""
 
 BLOCK = 200
 """Samples that one mapped CasADi function steps through."""
@@ -66,6 +70,7 @@ class Step:
         arguments = [state, symbols.u, symbols.u_next, own, symbols.within]
         self._function = ca.Function(name, arguments, results)
         self._block: tuple[int, Any, Any] | None = None
+        self._easy_block: tuple[int, int, Any, Any] | None = None
         self.machine_code = MachineCode(self._function, symbols.kept, symbols.banded)
 
     def constants(self, p: Array) -> Array:
@@ -78,6 +83,38 @@ class Step:
             self._block = (n, *self._function.mapaccum("block", n, _NESTED).buffer())
         return self._block
 
+    def easy_block(self, n: int, substeps: int) -> tuple[int, Any, Any]:
+        """The same of whole samples, of two steps where these are exact, of `substeps` elsewhere.
+
+        It takes state, inputs, inputs a sample later and parameters.
+        """
+        if self._easy_block is None or self._easy_block[0] < n or self._easy_block[1] != substeps:
+            sample = self._sample(substeps)
+            self._easy_block = (n, substeps, *sample.mapaccum("block", n, _NESTED).buffer())
+        return self._easy_block[0], *self._easy_block[2:]
+
+    def _sample(self, substeps: int) -> Any:
+        """One sample as a function; the machine code takes the same steps in the same order."""
+        step = self._function
+        given = [ca.MX.sym(step.name_in(i), step.numel_in(i)) for i in range(4)]
+        state = given[0]
+        shares = np.arange(2 * substeps + 1) / (2 * substeps)
+        run = step.mapaccum("run", substeps)
+        repeated = [ca.repmat(each, 1, substeps) for each in given[1:]]
+        ends, _, lates = run(state, *repeated, ca.DM(_triples(shares)).T)
+        nothing = [ca.MX.sym("next", self.n_state), ca.MX.sym("late", self.n_late)]
+        steps = ca.Function("steps", [*given, *nothing], [ends[:, -1], lates[:, -1]])
+        once, out, _ = step(*given, EASY_PARTS[0])
+        half, _, _ = step(*given, EASY_PARTS[1])
+        twice, _, late = step(half, *given[1:], EASY_PARTS[2])
+        two = ca.Function("two", [*given, *nothing], nothing)
+        before, after = state[: self.kept], twice[: self.kept]
+        size = ca.fmax(ca.fabs(before), ca.fabs(after))
+        is_exact = ca.fabs(after - once[: self.kept]) <= STEPS.easy * size
+        chosen = ca.Function.if_else("chosen", two, steps)
+        end, late = chosen(ca.sum1(is_exact) == self.kept, *given, twice, late)
+        return ca.Function("sample", given, [end, out, late])
+
 
 class Stepping:
     """How steps run through samples: columns of the inputs, and steps a sample.
@@ -87,11 +124,16 @@ class Stepping:
     columns : of the inputs, those of `u` and `u_next` of a step.
     banded : which of them are band-limited between samples.
     substeps : steps a sample.
+    may_be_easy : whether two steps will do for a sample where one step ends at the same state: dry
+        friction needs many of them where it reverses, and nowhere else.
     """
 
-    def __init__(self, columns: int, banded: Sequence[int], substeps: int) -> None:
+    def __init__(
+        self, columns: int, banded: Sequence[int], substeps: int, *, may_be_easy: bool = False
+    ) -> None:
         self.columns, self.banded, self.substeps = columns, tuple(banded), substeps
         self._shares = np.arange(2 * substeps + 1) / (2 * substeps)
+        self._easy = STEPS.easy if may_be_easy and substeps >= STEPS.many and not banded else 0.0
 
     def with_courses(self, u: Array) -> Array:
         """Inputs (N, columns) of a whole record, beside them the courses of band-limited ones.
@@ -125,10 +167,14 @@ class Stepping:
         u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
         if (steps := step.machine_code.before(len(u) * self.substeps)) is not None:
             state = state.copy()
-            steps(state, u, after, step.constants(p), self._shares, states, outputs)
+            constants = step.constants(p)
+            steps(state, u, after, constants, self._shares, states, outputs, self._easy)
             return states, outputs, state
-        fine = self.substeps
-        size, buffer, trigger = step.block(min(max(BLOCK // fine, 1), max(len(u), 1)) * fine)
+        fine = 1 if self._easy else self.substeps
+        wanted = min(max(BLOCK // fine, 1), max(len(u), 1)) * fine
+        size, buffer, trigger = (
+            step.easy_block(wanted, self.substeps) if self._easy else step.block(wanted)
+        )
         samples = size // fine
         inside = np.empty((size, n_state))
         given, last_given = np.empty((size, n_out)), np.empty((size, n_late))
@@ -140,7 +186,9 @@ class Stepping:
             # The last block goes on with its last inputs: another function would take longer.
             around = [_lengthened(each[first:last], samples) for each in (u, after)]
             columns = [np.repeat(each[:, : self.columns], fine, axis=0) for each in around]
-            arguments = [state, *columns, repeated, self._courses_at(*around)]
+            arguments = [state, *columns, repeated]
+            if not self._easy:
+                arguments.append(self._courses_at(*around))
             for i, argument in enumerate(arguments):
                 if argument.size:
                     buffer.set_arg(i, argument.data)
@@ -157,8 +205,7 @@ class Stepping:
     def _courses_at(self, u: Array, after: Array) -> Array:
         """What every step takes as its place within a sample, (N substeps, ...)."""
         out = np.empty((len(u), self.substeps, 1 + len(self.banded), 3))
-        for j in range(3):
-            out[:, :, 0, j] = self._shares[j : j + 2 * self.substeps : 2]
+        out[:, :, 0] = _triples(self._shares)
         for b, column in enumerate(self.banded):
             begin, end = u[:, column], after[:, column]
             first = self.columns + b * (2 * self.substeps - 1)
@@ -167,6 +214,11 @@ class Stepping:
             for j in range(3):
                 out[:, :, 1 + b, j] = course[:, j : j + 2 * self.substeps : 2]
         return out.reshape(len(u) * self.substeps, -1)
+
+
+def _triples(shares: Array) -> Array:
+    """(steps, 3) beginning, middle and end of every step."""
+    return np.column_stack([shares[j : j + len(shares) - 2 : 2] for j in range(3)])
 
 
 def _lengthened(u: Array, samples: int) -> Array:

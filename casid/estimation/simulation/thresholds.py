@@ -70,6 +70,15 @@ class Steps:
     filter_at_end: float = _is(
         0.05, "standard errors, by which the same may move the unknowns after a fit", _FILTER
     )
+    many: int = _is(
+        6, "steps a sample, at least, where two are tried first: they and one cost three", _FIT
+    )
+    easy: float = _is(
+        1e-8,
+        "of each state, to which one step of a sample and two of half of it agree where the two "
+        "are taken: the two are then exact to a fifteenth of it (Richardson)",
+        _FIT,
+    )
     most: int = _is(16, "steps a sample, beyond which only what diverges is refined", _FIT)
     last: int = _is(64, "steps a sample, at most", _FIT)
 

@@ -11,7 +11,15 @@ from casid.compiler import compiler
 from casid.estimation.simulation import machine_code
 from casid.estimation.simulation.machine_code import cache_folder
 from casid.estimation.simulation.simulator import Simulator, Trajectory
-from tests.estimation.simulation.test_simulator import TS, D, K, M, oscillator
+from tests.estimation.simulation.test_simulator import (
+    STICK_SLIP,
+    TS,
+    D,
+    K,
+    M,
+    dragged,
+    oscillator,
+)
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler is found here")
 RNG = np.random.default_rng(3)
@@ -47,6 +55,20 @@ def test_compiled_and_interpreted_steps_agree(cache: Path, monkeypatch: pytest.M
     compiled = Simulator(oscillator(), TS, FREE).sensitivities(U, P, X0)
     assert len(list(cache.glob("*.so"))) == 1
     assert_same(compiled, interpreted(monkeypatch))
+
+
+@needs_compiler
+def test_compiled_and_interpreted_steps_are_fine_at_the_same_samples(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run() -> Trajectory:
+        simulator = Simulator(dragged(), 0.005, ["F_c"], substeps=32)
+        return simulator.sensitivities(STICK_SLIP, np.array([10.0]), np.zeros(2))
+
+    compiled = run()
+    assert len(list(cache.glob("*.so"))) == 1
+    monkeypatch.setenv("CASID_CACHE", "")
+    assert_same(compiled, run())
 
 
 @needs_compiler

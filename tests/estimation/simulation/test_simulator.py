@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
 import casid
+from casid.estimation.simulation import stepping
 from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.simulation.thresholds import STEPS
 
 M, D, K, TS = 2.0, 1.5, 50.0, 0.05
 
@@ -143,3 +148,41 @@ def test_a_diverging_simulation_returns_values_that_are_not_finite():
     run = Simulator(m, 0.1).simulate(np.zeros((60, 0)), np.array([1.0]), np.array([1.0]))
     assert not np.all(np.isfinite(run.y))
     assert np.all(np.isfinite(run.y[:9]))  # x = 1 / (1 - t) until its pole
+
+
+def dragged() -> casid.Model:
+    """A mass with dry friction that reverses within 1 mm/s of rest."""
+    m = casid.Model("dragged")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    force = m.input("force", "N", hold="foh")
+    F_c = m.parameter("F_c", "N", start=10.0)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=M, terms=[force, -K * x, -D * v, -F_c * ca.tanh(v / V_0)])
+    m.output("position", x, "m")
+    m.output("speed", v, "m/s")
+    return m
+
+
+V_0 = 1e-3
+STICK_SLIP = np.array([[25.0]]) * np.sin(0.9 * np.arange(1500) * 0.005)[:, None]
+
+
+def test_fine_steps_where_friction_reverses_are_as_good_as_fine_steps_everywhere(monkeypatch):
+    """Two steps and one agree to e where the two err by e / 15 (Richardson), of every sample."""
+    chosen = Simulator(dragged(), 0.005, ["F_c"], substeps=32)
+    run = chosen.sensitivities(STICK_SLIP, np.array([10.0]), np.zeros(2))
+    monkeypatch.setattr(stepping, "STEPS", replace(STEPS, many=1000))
+    everywhere = Simulator(dragged(), 0.005, ["F_c"], substeps=32)
+    fine = everywhere.sensitivities(STICK_SLIP, np.array([10.0]), np.zeros(2))
+    resting = np.abs(fine.x[:-1, 1]) < V_0
+    assert 0.05 < resting.mean() < 0.5  # it sticks, and it slides
+    for one, other in ((run.y, fine.y), (run.dy, fine.dy)):
+        error = np.abs(one - other).max(axis=0) / np.abs(other).max(axis=0)
+        assert np.all(error < STEPS.easy * len(STICK_SLIP) / 15)
+
+
+def test_a_smooth_motion_takes_two_steps_a_sample_however_many_it_may(monkeypatch):
+    u = np.sin(np.arange(300) * 0.001)[:, None]
+    p, x0 = np.array([M, D, K]), np.array([0.4, 0.3])
+    two, many = (Simulator(oscillator(), 0.001, substeps=n).simulate(u, p, x0) for n in (2, 32))
+    np.testing.assert_allclose(many.x, two.x, rtol=1e-14)
