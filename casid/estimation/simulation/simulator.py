@@ -61,7 +61,7 @@ def rk4_sample(
     return x
 
 
-def rk4_step(f: Any, x: Any, p: Any, inputs: Sequence[Any], h: float) -> Any:
+def rk4_step(f: Any, x: Any, p: Any, inputs: Sequence[Any], h: Any) -> Any:
     """One step of length `h` [s]; `inputs` at its beginning, its middle and its end."""
     left, mid, right = inputs
     k1 = f(x, left, p)
