@@ -14,7 +14,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise import NoiseModel, variances, whittle
+from casid.estimation.noise import NoiseModel, variances, whittle, with_rounding
 from casid.estimation.noise_response import Response
 from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -68,7 +68,7 @@ def with_disturbance_spectra(
         noise,
         spectra_of(residuals, noise.responses, sources, len(outputs), windows, envelopes),
         [(d.N, d.Ts) for d in criterion.data],
-        dict(known or {}),
+        with_rounding(criterion.data, known or {}),
         outputs,
     )
     found: dict[str, DisturbanceSpectrum] = {}

@@ -23,7 +23,7 @@ from scipy.fft import rfft
 
 from casid.arrays import TINY, Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise import NoiseModel
+from casid.estimation.noise import NoiseModel, with_rounding
 from casid.estimation.noise_response import noise_response
 from casid.estimation.residual_spectra import band_edges
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -58,7 +58,7 @@ def likeliest(
     """
     if criterion.segments > 1 or any(not d.used.all() for d in criterion.data):
         return x
-    search = _Likelihood(criterion, noise, dict(known or {}))
+    search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}))
     z = np.concatenate([x, search.start])
     at = search.at(z)
     if not np.isfinite(at.value):
@@ -89,7 +89,7 @@ def errors(
     known: Mapping[str, float] | None = None,
 ) -> Array:
     """(n,) standard errors at a minimum of (1), from Fisher's information; as for `likeliest`."""
-    search = _Likelihood(criterion, noise, dict(known or {}))
+    search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}))
     information = search.at(np.concatenate([x, search.start])).information
     size = np.sqrt(np.maximum(np.diag(information), TINY))
     inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)

@@ -278,7 +278,7 @@ def estimate_noise(
     seen_through : which samples `residuals` have, and what the fit absorbed; default those that
         count, and nothing.
     """
-    known = dict(known or {})
+    known = with_rounding(criterion.data, known or {})
     ny = len(criterion.outputs)
     if responses is None:
         responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
@@ -406,20 +406,33 @@ def _alike(
     return [tuple(group) for group in groups]
 
 
+def with_rounding(signals: Sequence[Signals], known: Mapping[str, float]) -> dict[str, float]:
+    """The noise of channels that is known: of rounded inputs that of rounding, else as stated."""
+    out: dict[str, float] = {}
+    for d in signals:
+        for name, sd in d.rounding.items():
+            out[name] = max(sd, out.get(name, 0.0))
+    return out | dict(known)
+
+
 def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict[str, float]:
     """Estimated bound on each input's white noise: the quietest spectrum near Nyquist.
 
     The upper half band of every record is cut into twenty parts. The quietest quarter of all parts
     is averaged, and divided by what that would be, of 1, for white noise alone: the parts of a
     tapered periodogram are Gamma distributed, and the quietest lie below the mean. A command that
-    is held has steps up to Nyquist, but no noise: that would not repeat its values. Samples that
-    were filled do not count.
+    is held has steps up to Nyquist, but no noise: that would not repeat its values. Nor does it
+    where it is rounded: then it is that of the rounding. Samples that were filled do not count.
     """
     columns = {
         name: [d.u[~d.filled[name], i] if name in d.filled else d.u[:, i] for d in signals]
         for i, name in enumerate(inputs)
     }
-    return {name: 0.0 if is_held(c) else white_floor(c) for name, c in columns.items()}
+    rounded = with_rounding(signals, {})
+    return {
+        name: rounded.get(name, 0.0) if is_held(c) else white_floor(c)
+        for name, c in columns.items()
+    }
 
 
 def is_held(records: Sequence[Array]) -> bool:

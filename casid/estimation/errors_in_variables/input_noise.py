@@ -26,6 +26,7 @@ from casid.estimation.noise import (
     estimate_noise,
     floor_error,
     input_noise_floor,
+    with_rounding,
 )
 from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit
@@ -101,6 +102,7 @@ def input_noise(
     ----------
     before : the noise found nearby, if it was: missing samples are drawn from it first.
     """
+    known = with_rounding(criterion.data, known)
     seen = _Residuals(criterion, x, known, before)
     noise = seen.noise()
     inputs = criterion.model.inputs

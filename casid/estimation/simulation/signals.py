@@ -11,6 +11,7 @@ from casid.arrays import Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, UnitError
+from casid.estimation.rounding import rounding_of
 from casid.estimation.simulation.input_gaps import filled, recorded_inputs, require_short_gaps
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si
@@ -31,6 +32,7 @@ class Signals:
     Ts: float
     known: Mapping[str, float]
     filled: Mapping[str, BoolArray] = field(default_factory=dict)  # input -> (N,) not recorded
+    rounding: Mapping[str, float] = field(default_factory=dict)  # input -> sd of its rounding
 
     @property
     def N(self) -> int:
@@ -67,6 +69,11 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
         Ts=record.Ts,
         known=model.in_si(experiment.known),
         filled={name: mask for name, mask in experiment.filled.items() if len(mask) == n},
+        rounding={
+            name: sd
+            for i, (name, entry) in enumerate(model.inputs.items())
+            if entry.kind == "measured" and (sd := rounding_of(u[:, i])) > 0.0
+        },
     )
 
 

@@ -17,6 +17,7 @@ _FILTER = "tests/estimation/prediction_error/test_extended_likelihood.py"
 _UNSTABLE = "tests/identification/test_unstable.py"
 _WINDOWS = "tests/diagnosis/evidence/test_unstable_records.py"
 _LOOP = "tests/estimation/test_feedback.py"
+_ROUNDING = "tests/estimation/test_rounding.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 
@@ -145,6 +146,20 @@ class InputAnswers:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Rounded:
+    """When a measured input that repeats its readings is one that is rounded; see `rounding.py`."""
+
+    repeated: float = _is(0.5, "of the samples, above which a channel is no noisy one", _ROUNDING)
+    levels: int = _is(10, "different readings, at least: a command has a few levels", _ROUNDING)
+    single: float = _is(
+        0.25,
+        "of its changes that are by a single step, at least: a command that jumps among ten levels "
+        "at random has a fifth",
+        _ROUNDING,
+    )
+
+
 RECORD_AGREEMENT = RecordAgreement()
 FIT_BUDGET = FitBudget()
 STEPS = Steps()
@@ -152,6 +167,7 @@ ERROR_WEIGHTS = ErrorWeights()
 INPUT_GAPS = InputGaps()
 INSTABILITY = Instability()
 INPUT_ANSWERS = InputAnswers()
+ROUNDED = Rounded()
 
 GROUPS = (
     RECORD_AGREEMENT,
@@ -161,6 +177,7 @@ GROUPS = (
     INPUT_GAPS,
     INSTABILITY,
     INPUT_ANSWERS,
+    ROUNDED,
 )
 
 TABLE = entries(*GROUPS)

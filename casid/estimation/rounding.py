@@ -1,0 +1,30 @@
+"""Rounding of a measured input that repeats most of its readings.
+
+Such a channel shows no noise near Nyquist, and is not exact for that: its error is uniform within a
+step (Widrow and Kollar, Quantization Noise, Cambridge 2008, chapter 5). Near rest it is a part of
+the signal, and passes for dry friction or a dead zone where it is taken for none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.channel_quality import quantisation_step
+from casid.estimation.simulation.thresholds import ROUNDED
+
+
+def rounding_of(values: Array) -> float:
+    """Standard deviation of the rounding of a channel (N,), 0 where it is not rounded so.
+
+    A command has levels of its own and no error: it goes from one to another by many steps at once.
+    """
+    moves = np.abs(np.diff(values))
+    moved = moves[moves > 0.0]
+    if len(moved) >= (1 - ROUNDED.repeated) * len(moves):
+        return 0.0
+    step = quantisation_step(values)
+    if step is None or len(np.unique(values)) < ROUNDED.levels:
+        return 0.0
+    is_single = moved < 1.5 * step
+    return step / float(np.sqrt(12.0)) if is_single.mean() >= ROUNDED.single else 0.0
