@@ -199,6 +199,8 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         p = float(norm.sf(total / sd)) if sd > 0 else 1.0
         is_near = c.merit > COMPARISON.vuong_share * best.merit
         is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
+        if c.merit > best.merit and 2 * total > COMPARISON.strong and p < COMPARISON.vuong_p:
+            continue  # better only by more noise of the inputs than there is
         if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))
     same = COMPARISON.same

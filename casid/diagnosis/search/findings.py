@@ -10,6 +10,7 @@ from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, name_of
 from casid.diagnosis.search.disturbance_rival import weighed_against_disturbances
+from casid.diagnosis.search.promotion import with_likelier_rivals
 from casid.diagnosis.search.reconsideration import reconsidered
 from casid.diagnosis.search.record_specific import Specific, record_specific
 from casid.diagnosis.search.rounds import Search
@@ -88,6 +89,16 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
     if not adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
     adopted = reconsidered(search, adopted, start, at)
+    once = replace(settings.fit, starts=1)
+    named = replace(found, adopted=tuple(adopted), at=at, fit=extended)
+    named = (
+        search.attempts.attempt(
+            "the exchange of causes for likelier rivals",
+            lambda: with_likelier_rivals(search, named, start, split, once),
+        )
+        or named
+    )
+    adopted, at, extended = list(named.adopted), named.at, named.fit
     specific: tuple[Specific, ...] = ()
     if extended is not None and extended.criterion.whiten is None and len(split.fitted) > 1:
         settings.progress("test whether one size of each cause explains every record")

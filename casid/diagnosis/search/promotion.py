@@ -1,0 +1,85 @@
+"""Rivals that are likelier than the cause in the end, and take its name.
+
+A cause is chosen while others are missing, or while misfit passes for noise. With all of them in
+the model, and under the noise that is then left, gains are likelihoods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, extended_by, name_of
+from casid.diagnosis.search.refinement import Adoption, whole_fit
+from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.simulation_errors import simulation_errors
+from casid.diagnosis.thresholds import COMPARISON
+from casid.estimation.holdout import Split, why_no_better
+from casid.estimation.simulation.fit import FitSettings
+
+
+def with_likelier_rivals(
+    search: Search, found: Adoption, start: Weighted, split: Split, settings: FitSettings
+) -> Adoption:
+    """Every cause by its rival that is better by strong evidence, unless it predicts worse.
+
+    Parameters
+    ----------
+    found : the causes with the rivals that cannot be rejected beside the others in the end.
+    start : the model as it is.
+    """
+    if found.fit is None or found.at.noise_absorbs_misfit:
+        return found
+    for i in range(len(found.adopted)):
+        rival = _likelier(found.adopted, i)
+        if rival is not None:
+            found = _in_its_place(search, found, i, rival, start, split, settings)
+    return found
+
+
+def _likelier(adopted: Sequence[Adopted], i: int) -> Candidate | None:
+    """The best rival with a name, where it is better than a cause by strong evidence."""
+    own = adopted[i].candidate
+    taken = {a.candidate.effect.key for a in adopted}
+    named = [
+        r.candidate
+        for r in adopted[i].rivals
+        if r.candidate.effect.kind != "unknown" and r.candidate.effect.key not in taken
+    ]
+    best = max(named, key=lambda c: c.merit, default=None)
+    return best if best is not None and best.merit > own.merit + COMPARISON.strong else None
+
+
+def _in_its_place(
+    search: Search,
+    found: Adoption,
+    i: int,
+    rival: Candidate,
+    start: Weighted,
+    split: Split,
+    settings: FitSettings,
+) -> Adoption:
+    """The causes with a rival in the place of one, unless it predicts worse."""
+    fit, own = found.fit, found.adopted[i].candidate
+    assert fit is not None
+    search.progress(f"take {name_of(rival.effect)} in the place of {name_of(own.effect)}")
+    causes = [a.candidate for a in found.adopted]
+    causes[i] = rival
+    model, placed = extended_by(start.model, causes)
+    values = dict(fit.values) | {
+        new: c.fit.values[old]
+        for p, c in zip(placed, causes, strict=True)
+        for new, old in zip(p.names, c.names, strict=True)
+        if old in c.fit.values
+    }
+    units = fit.criterion.weights
+    other = whole_fit(model, split, settings, units, values)
+    before, after = (simulation_errors(f, split, units) for f in (fit, other))
+    if not why_no_better(after.continued, before.continued):
+        return found  # the cause predicts better, by more than chance
+    adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
+    rivals = [r for r in adopted[i].rivals if r.candidate.effect.key != rival.effect.key]
+    adopted[i] = replace(adopted[i], rivals=(Rival(own, 1.0), *rivals))
+    at = search.weighing.weigh(model, other, rounds=1)
+    return replace(found, adopted=tuple(adopted), at=at, fit=other)
