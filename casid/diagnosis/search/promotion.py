@@ -32,13 +32,13 @@ def with_likelier_rivals(
     if found.fit is None or found.at.noise_absorbs_misfit:
         return found
     for i in range(len(found.adopted)):
-        rival = _likelier(found.adopted, i)
+        rival = likelier_rival(found.adopted, i)
         if rival is not None:
             found = _in_its_place(search, found, i, rival, start, split, settings)
     return found
 
 
-def _likelier(adopted: Sequence[Adopted], i: int) -> Candidate | None:
+def likelier_rival(adopted: Sequence[Adopted], i: int) -> Candidate | None:
     """The best rival with a name, where it is better than a cause by strong evidence."""
     own = adopted[i].candidate
     taken = {a.candidate.effect.key for a in adopted}
