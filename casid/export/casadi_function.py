@@ -31,7 +31,7 @@ def casadi_function(
     Parameters
     ----------
     parameters : those that stay free, in the order of p; all others have their estimates.
-    without_delays : leave out the delays of sensors.
+    without_delays : leave out the delays of sensors and inputs.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """A fitted model as equations alone: dx/dt = f(x, u, p, t), y = h(x, u, p, t), all in SI units.
 
 What sensors and actuators do to whole columns becomes part of the equations where that is possible:
-a limit is a minimum and a maximum, a first-order lag a state. A delay is no equation; it stays
-apart. What a sensor did to the record of an input (it was late, it lagged) does not concern what
-acts, so the input here is what acted.
+a limit is a minimum and a maximum, a first-order lag a state. A delay is no equation; that of a
+sensor or of a command stays apart. What a sensor did to the record of an input (it was late, it
+lagged) does not concern what acts, so the input here is what acted.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ class PlainModel:
     initial : every state at the beginning of the first fitted record, SI.
     Ts, substeps : sample time [s] and Runge-Kutta steps a sample.
     delays : output -> delay of its sensor [s]; the model's output is what arrives at the sensor.
+    dead_times : input -> how much later it acts [s]; the model's input is what acts.
     notes : what a user of the equations should know.
     """
 
@@ -49,6 +50,7 @@ class PlainModel:
     Ts: float
     substeps: int
     delays: Mapping[str, float]
+    dead_times: Mapping[str, float]
     notes: tuple[str, ...]
 
     @property
@@ -162,18 +164,21 @@ def _rows(column: Any, rows: Sequence[int]) -> Any:
     return ca.vertcat(*[column[i] for i in rows]) if rows else ca.SX(0, 1)
 
 
-def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False) -> PlainModel:
+def plain_model(
+    fitted: FittedModel, *, what: str, without_delays: bool = False, has_dead_times: bool = False
+) -> PlainModel:
     """The equations of a fitted model, the delays of its outputs apart.
 
     Parameters
     ----------
     what : the export, for messages ("C").
-    without_delays : leave out the delays of sensors, with a note.
+    without_delays : leave out the delays of sensors and inputs, with a note.
+    has_dead_times : the export makes inputs act late by itself.
 
     Raises
     ------
     ModelError
-        If an input is unknown, or a function of the user's own.
+        If an input is unknown, a function of the user's own, or late and the export cannot say so.
     """
     fitted = fitted.without_noise()
     model, values, initial = fitted.model.copy(), fitted.si_values, fitted.si_initial_states
@@ -204,6 +209,20 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         for n, d in steps.delays.items()
         if without_delays
     ]
+    late = steps.dead_times
+    if late and not (without_delays or has_dead_times):
+        which = ", ".join(f"{n} by {d:.4g} s" for n, d in late.items())
+        raise ModelError(
+            f"{fitted.name}: inputs act late ({which}), which {what} does not do; export --as "
+            "modelica or problem, or leave it out by without_delays=True (--without-delays) and "
+            "give the model the input of that time ago"
+        )
+    if without_delays:
+        left_out += [
+            f"The input {n} acts {d:.6g} s later, which is not in the equations: give them the "
+            "input of that time ago."
+            for n, d in late.items()
+        ]
     outputs = list(fitted.model.outputs)
     stepping = [outputs[i] for i in stepping_outputs(fitted.model, fitted.model.explicit())]
     blurred = [
@@ -220,6 +239,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         Ts=fitted.Ts,
         substeps=substeps,
         delays={} if without_delays else steps.delays,
+        dead_times={} if without_delays else late,
         notes=(*notes, *steps.notes, *left_out, *blurred),
     )
 
@@ -230,6 +250,7 @@ class _Stages:
     def __init__(self, model: Model, values: dict[str, float], initial: dict[str, float]) -> None:
         self.model, self.values, self.initial = model, values, initial
         self.delays: dict[str, float] = {}
+        self.dead_times: dict[str, float] = {}
         self.lags: list[float] = []
         self.notes: list[str] = []
         model.stages = ()
@@ -249,6 +270,8 @@ class _Stages:
             self.delays[stage.channel] = self.delays.get(stage.channel, 0.0) + value
         elif stage.kind == "lag":
             self._lag_output(stage)
+        elif stage.kind == "late_input":
+            self.dead_times[stage.channel] = value
         elif stage.kind == "lag_input":
             self._lag_input(stage)
         elif stage.kind == "play_input":
