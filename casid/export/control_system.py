@@ -53,9 +53,7 @@ def control_system(
         If a name is no state or input, the model has no slope there, or an output or an input is
         delayed and no order is given.
     """
-    plain = plain_model(
-        fitted, what="a state space", without_delays=without_delays, has_dead_times=True
-    )
+    plain = plain_model(fitted, what="a state space", without_delays=without_delays)
     delays = {**plain.delays, **plain.dead_times}
     if delays and pade is None:
         late = ", ".join(f"{n} by {d:.4g} s" for n, d in delays.items())
@@ -150,7 +148,7 @@ def _matrices(plain: PlainModel, at: Mapping[str, float], time: float) -> list[A
                 f"{plain.name} has no state or input {name!r} to linearise at; it has "
                 f"{', '.join(names)}{nearest(name, names)}"
             )
-    function = function_of(replace(plain, delays={}), ())
+    function = function_of(replace(plain, delays={}, dead_times={}), ())
     x, u, u_next, t, p = function.sx_in()
     dx, y, _ = function.call([x, u, u_next, t, p])
     slopes = ca.Function(

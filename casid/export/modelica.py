@@ -60,7 +60,7 @@ def write_modelica(fitted: FittedModel, path: Path) -> Path:
 
 def modelica_text(fitted: FittedModel, name: str) -> str:
     """The text of a Modelica model called `name`."""
-    plain = plain_model(fitted, what="Modelica", has_dead_times=True)
+    plain = plain_model(fitted, what="Modelica")
     return _Writer(fitted, plain, name).text()
 
 

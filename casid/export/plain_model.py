@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import casadi as ca
@@ -20,6 +20,7 @@ from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.simulation.simulator import band_limited, rk4_sample, stepping_outputs
 from casid.export.delayed_outputs import SampledDelay, sampled_delays
+from casid.export.late_inputs import DeadTime, sampled_dead_times
 from casid.model.clock_signals import ClockSignal
 from casid.model.declarations import Stage
 from casid.model.model import Model
@@ -98,6 +99,18 @@ class PlainModel:
         """The delays of outputs, in samples."""
         return sampled_delays(self.outputs, self.delays, self.Ts)
 
+    @property
+    def sampled_dead_times(self) -> list[DeadTime]:
+        """The dead times of inputs, in samples."""
+        holds = {n: self.model.acting_hold(n) for n in self.inputs}
+        return sampled_dead_times(self.inputs, self.dead_times, holds, self.Ts)
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers that a step keeps: outputs and inputs past, and if there was a sample before."""
+        kept = [d.kept for d in (*self.sampled_delays, *self.sampled_dead_times)]
+        return sum(kept) + 1 if kept else 0
+
     def shares(self) -> list[float]:
         """Of each input's rise within a sample, the part that it makes as a straight line.
 
@@ -136,7 +149,10 @@ class Expressions:
 
 def expressions(plain: PlainModel) -> Expressions:
     """The equations and the Runge-Kutta step of a plain model."""
-    model, e = plain.model, plain.model.explicit()
+    model = plain.model.copy()
+    for name in plain.dead_times:  # whose line a step is given
+        model.inputs[name] = replace(model.inputs[name], hold="foh", blends=())
+    e = model.explicit()
     t = ca.SX.sym("t")
     u_next = ca.SX.sym("u_next", e.u.numel())
     after = rk4_sample(model, e, u_next, plain.Ts, plain.substeps)
@@ -164,21 +180,18 @@ def _rows(column: Any, rows: Sequence[int]) -> Any:
     return ca.vertcat(*[column[i] for i in rows]) if rows else ca.SX(0, 1)
 
 
-def plain_model(
-    fitted: FittedModel, *, what: str, without_delays: bool = False, has_dead_times: bool = False
-) -> PlainModel:
+def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False) -> PlainModel:
     """The equations of a fitted model, the delays of its outputs apart.
 
     Parameters
     ----------
     what : the export, for messages ("C").
     without_delays : leave out the delays of sensors and inputs, with a note.
-    has_dead_times : the export makes inputs act late by itself.
 
     Raises
     ------
     ModelError
-        If an input is unknown, a function of the user's own, or late and the export cannot say so.
+        If an input is unknown, or a function of the user's own.
     """
     fitted = fitted.without_noise()
     model, values, initial = fitted.model.copy(), fitted.si_values, fitted.si_initial_states
@@ -209,20 +222,12 @@ def plain_model(
         for n, d in steps.delays.items()
         if without_delays
     ]
-    late = steps.dead_times
-    if late and not (without_delays or has_dead_times):
-        which = ", ".join(f"{n} by {d:.4g} s" for n, d in late.items())
-        raise ModelError(
-            f"{fitted.name}: inputs act late ({which}), which {what} does not do; export --as "
-            "modelica or problem, or leave it out by without_delays=True (--without-delays) and "
-            "give the model the input of that time ago"
-        )
-    if without_delays:
-        left_out += [
-            f"The input {n} acts {d:.6g} s later, which is not in the equations: give them the "
-            "input of that time ago."
-            for n, d in late.items()
-        ]
+    left_out += [
+        f"The input {n} acts {d:.6g} s late, which is not in the equations: give them the input of "
+        "that time ago."
+        for n, d in steps.dead_times.items()
+        if without_delays
+    ]
     outputs = list(fitted.model.outputs)
     stepping = [outputs[i] for i in stepping_outputs(fitted.model, fitted.model.explicit())]
     blurred = [
@@ -239,7 +244,7 @@ def plain_model(
         Ts=fitted.Ts,
         substeps=substeps,
         delays={} if without_delays else steps.delays,
-        dead_times={} if without_delays else late,
+        dead_times={} if without_delays else steps.dead_times,
         notes=(*notes, *steps.notes, *left_out, *blurred),
     )
 
