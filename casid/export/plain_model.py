@@ -108,7 +108,7 @@ class PlainModel:
     @property
     def memory_size(self) -> int:
         """Numbers that a step keeps: outputs and inputs past, and if there was a sample before."""
-        kept = [d.kept for d in (*self.sampled_delays, *self.sampled_dead_times)]
+        kept = [d.kept for d in self.sampled_delays] + [d.kept for d in self.sampled_dead_times]
         return sum(kept) + 1 if kept else 0
 
     def shares(self) -> list[float]:
@@ -217,17 +217,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
             )
     shortest = min(steps.lags, default=math.inf)
     substeps = max(fitted.settings.substeps, math.ceil(fitted.Ts / (_STABLE * shortest)))
-    left_out = [
-        f"The sensor of {n} is delayed by {d:.6g} s, which is not in the equations."
-        for n, d in steps.delays.items()
-        if without_delays
-    ]
-    left_out += [
-        f"The input {n} acts {d:.6g} s late, which is not in the equations: give them the input of "
-        "that time ago."
-        for n, d in steps.dead_times.items()
-        if without_delays
-    ]
+    left_out = steps.without_delays() if without_delays else []
     outputs = list(fitted.model.outputs)
     stepping = [outputs[i] for i in stepping_outputs(fitted.model, fitted.model.explicit())]
     blurred = [
@@ -291,6 +281,18 @@ class _Stages:
                 f"The record of the input {stage.channel} was {did} {value:.6g} s; here "
                 f"{stage.channel} is what acted, without that."
             )
+
+    def without_delays(self) -> list[str]:
+        """Notes on the delays, for equations that are used without them."""
+        sensors = [
+            f"The sensor of {n} is delayed by {d:.6g} s, which is not in the equations."
+            for n, d in self.delays.items()
+        ]
+        return sensors + [
+            f"The input {n} acts {d:.6g} s late, which is not in the equations: give them the "
+            "input of that time ago."
+            for n, d in self.dead_times.items()
+        ]
 
     def _drop(self, name: str) -> None:
         """Take out an input that carries tangents alone: it is zero in a simulation."""
