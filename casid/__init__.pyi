@@ -78,7 +78,7 @@ from .linear.linear_model import linearise
 from .model.clock_signals import Always, RampOver, StepAt, TimeSince
 from .model.declarations import Parameter
 from .model.effects.actuator_effects import input_backlash
-from .model.effects.channel_effects import hold, saturation, sensor_lag, time_delay
+from .model.effects.channel_effects import dead_time, hold, saturation, sensor_lag, time_delay
 from .model.effects.effect import Effect
 from .model.effects.structure_effects import actuator_lag
 from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
@@ -200,6 +200,7 @@ __all__ = [
     "compare_solvers",
     "compare_unknown_input_options",
     "confounders",
+    "dead_time",
     "decimate",
     "decision_map",
     "decoupled_observer",

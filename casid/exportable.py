@@ -69,8 +69,8 @@ class Exportable:
         ----------
         at : state or input -> its value there, in its unit; 0 SI where not named.
         time : on the record's clock [s]; default the beginning of the first fitted record.
-        pade : order of the Pade approximation of each delay of a sensor.
-        without_delays : leave out the delays of sensors; one of both is needed where there are any.
+        pade : order of the Pade approximation of each delay of a sensor or an input.
+        without_delays : leave out these delays; one of both is needed where there are any.
         """
         return _of("control_system", "control_system")(
             self, at, time=time, pade=pade, without_delays=without_delays

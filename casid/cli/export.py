@@ -40,12 +40,12 @@ from casid.errors import DataError
     "--pade",
     type=int,
     metavar="ORDER",
-    help="Pade approximation of the delays of sensors in a state space, which has none.",
+    help="Pade approximation of delays in a state space, which has none.",
 )
 @click.option(
     "--without-delays",
     is_flag=True,
-    help="Leave out the delays of sensors.",
+    help="Leave out the delays of sensors and inputs.",
 )
 @click.option("--force", is_flag=True, help="Write over a file that exists.")
 def export(

@@ -133,6 +133,24 @@ class Outliers:
     )
 
 
+_STEPS_IN_GAPS = f"{TESTS}/evidence/test_steps_in_gaps.py"
+
+
+@dataclass(frozen=True, slots=True)
+class StepsInGaps:
+    """Where a held input stepped in a gap of its record."""
+
+    samples: int = _is(
+        50,
+        "samples behind a gap that are simulated for each place of a step: what it leaves is "
+        "largest just behind the gap",
+        _STEPS_IN_GAPS,
+    )
+    rounds: int = _is(
+        3, "passes over all gaps, as what an earlier one left moves the residual", _STEPS_IN_GAPS
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Prewhitening:
     """Noise found at a fit."""
@@ -860,6 +878,7 @@ class Budget:
 SUFFICIENCY = Sufficiency()
 CLIPPING = Clipping()
 OUTLIERS = Outliers()
+STEPS_IN_GAPS = StepsInGaps()
 PREWHITENING = Prewhitening()
 SCORES = Scores()
 FUNCTIONS = Functions()
@@ -886,6 +905,7 @@ GROUPS = (
     SUFFICIENCY,
     CLIPPING,
     OUTLIERS,
+    STEPS_IN_GAPS,
     PREWHITENING,
     SCORES,
     FUNCTIONS,

@@ -12,7 +12,6 @@ import casadi as ca
 
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import function_of
-from casid.export.delayed_outputs import memory_size
 from casid.export.naming import checked_path, identifier, identifiers, written_by
 from casid.export.plain_model import PlainModel, expressions, plain_model
 
@@ -21,7 +20,7 @@ def write_c(fitted: FittedModel, path: Path, *, without_delays: bool = False) ->
     """Write `path` (.c) and the header beside it; returns the path of the C file.
 
     The code needs nothing but a C compiler and libm. All quantities are in SI units. The step of a
-    model whose sensors are delayed takes and gives a memory of past outputs.
+    model whose sensors or inputs are delayed takes and gives a memory of past ones.
 
     Raises
     ------
@@ -40,7 +39,7 @@ def header(plain: PlainModel, prefix: str) -> str:
     """The header: what the arrays hold, the estimated values, and the two functions."""
     names = {"X": plain.states, "U": plain.inputs, "Y": plain.outputs, "P": plain.parameters}
     counts = {f"N{letter}": len(own) for letter, own in names.items()}
-    memory = memory_size(plain.sampled_delays)
+    memory = plain.memory_size
     if memory:
         counts["NPAST"] = memory
     guard = f"{prefix.upper()}_H"
@@ -97,7 +96,7 @@ def source(plain: PlainModel, prefix: str, *, header: str) -> str:
         f"{prefix}_casadi_equations", [s.x, s.u, s.t, s.p], [ca.densify(found.dx), found.y]
     )
     step = ca.Function(f"{prefix}_casadi_step", symbols, stepped)
-    past, past_next = (["past"], ["past_next"]) if plain.delays else ([], [])
+    past, past_next = (["past"], ["past_next"]) if plain.memory_size else ([], [])
     lines = [
         f'#include "{header}"',
         "",
@@ -109,7 +108,7 @@ def source(plain: PlainModel, prefix: str, *, header: str) -> str:
         *_call(equations, ["x", "u", "&t", "p"], ["dx", "y"]),
         "}",
         "",
-        *_step_head(prefix, memory_size(plain.sampled_delays), " {"),
+        *_step_head(prefix, plain.memory_size, " {"),
         *_call(step, ["x", "u", "u_next", "&t", "p", *past], ["y", "x_next", *past_next]),
         "}",
     ]
@@ -117,7 +116,7 @@ def source(plain: PlainModel, prefix: str, *, header: str) -> str:
 
 
 def _step_head(prefix: str, memory: int, end: str) -> list[str]:
-    """The declaration of the step, which has a memory where sensors are delayed."""
+    """The declaration of the step, which has a memory where something is delayed."""
     inside, after = (" const double *past,", ", double *past_next") if memory else ("", "")
     return [
         f"void {prefix}_step(const double *x, const double *u, const double *u_next, double t,",
@@ -126,13 +125,28 @@ def _step_head(prefix: str, memory: int, end: str) -> list[str]:
 
 
 def _of_the_memory(plain: PlainModel, prefix: str) -> list[str]:
-    """What the header says of delayed sensors."""
-    if not plain.delays:
+    """What the header says of delayed sensors and inputs."""
+    if not plain.memory_size:
         return []
-    late = ", ".join(f"{n} by {d:.6g} s" for n, d in plain.delays.items())
+    lines = []
+    for what, delays, says in (
+        (
+            "Sensors are delayed",
+            plain.delays,
+            "y of {0}_step is what they give, y of {0}_equations what arrives at them.",
+        ),
+        (
+            "Inputs act late",
+            plain.dead_times,
+            "u of {0}_step is what is given, u of {0}_equations what acts.",
+        ),
+    ):
+        if delays:
+            late = ", ".join(f"{n} by {d:.6g} s" for n, d in delays.items())
+            lines += _paragraphs([f"{what} ({late})."])[:-1]
+            lines.append(f"   {says.format(prefix)}")
     return [
-        *_paragraphs([f"Sensors are delayed ({late})."])[:-1],
-        f"   y of {prefix}_step is what they give, y of {prefix}_equations what arrives at them.",
+        *lines,
         f"   past holds {prefix.upper()}_NPAST numbers, zeros in the first step, past_next those",
         "   of the next one.",
     ]

@@ -10,7 +10,8 @@ import casadi as ca
 
 from casid.errors import ModelError, nearest
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.export.delayed_outputs import delayed, memory_size
+from casid.export.delayed_outputs import delayed
+from casid.export.late_inputs import acting_late
 from casid.export.naming import checked_path, identifier
 from casid.export.plain_model import PlainModel, Symbols, expressions, plain_model
 
@@ -25,13 +26,14 @@ def casadi_function(
     Outputs: dx = f(x, u), y = h(x, u), x_next the state one sample later. All in SI units, in the
     order of the model's states, inputs and outputs.
 
-    Where sensors are delayed, y is what they give at this sample, the last input is `past`, the
-    memory of earlier outputs, zeros in the first step, and the last output `past_next`.
+    Where sensors are delayed, y is what they give at this sample; where inputs act late, u is what
+    is given. The last input is then `past`, the memory of earlier outputs and inputs, zeros in the
+    first step, and the last output `past_next`.
 
     Parameters
     ----------
     parameters : those that stay free, in the order of p; all others have their estimates.
-    without_delays : leave out the delays of sensors.
+    without_delays : leave out the delays of sensors and inputs.
 
     Raises
     ------
@@ -69,9 +71,9 @@ def function_of(plain: PlainModel, parameters: Sequence[str], *, name: str | Non
         results = ca.substitute(results, [s.p], [ca.vertcat(*values)])
     arguments = [s.x, s.u, s.u_next, s.t, free]
     names = ["x", "u", "u_next", "t", "p"], ["dx", "y", "x_next"]
-    if plain.delays:
-        past = ca.SX.sym("past", memory_size(plain.sampled_delays))
-        results[1:] = _with_delays(plain, s, results[1], results[2], past)
+    if plain.memory_size:
+        past = ca.SX.sym("past", plain.memory_size)
+        results = _with_delays(plain, s, results, past)
         arguments.append(past)
         names[0].append("past")
         names[1].append("past_next")
@@ -79,11 +81,19 @@ def function_of(plain: PlainModel, parameters: Sequence[str], *, name: str | Non
     return ca.Function(name, arguments, [ca.densify(each) for each in results], *names)
 
 
-def _with_delays(plain: PlainModel, s: Symbols, y: Any, x_next: Any, past: Any) -> list[Any]:
-    """Outputs as the sensors give them, the next state, and the memory of past outputs."""
-    (y_next,) = ca.substitute([y], [s.x, s.u, s.t], [x_next, s.u_next, s.t + plain.Ts])
-    given, past_next = delayed(y, y_next, past, plain.sampled_delays)
-    return [given, x_next, past_next]
+def _with_delays(plain: PlainModel, s: Symbols, results: Sequence[Any], past: Any) -> list[Any]:
+    """dx, y and x_next of what acts late and is measured late, and the memory of what is past."""
+    dx, y, x_next = results
+    has_begun, of_outputs = past[-1], sum(d.kept for d in plain.sampled_delays)
+    acting, given = acting_late(
+        s.u, s.u_next, past[of_outputs:], has_begun, plain.sampled_dead_times
+    )
+    now, begin, end, later = acting
+    (x_next,) = ca.substitute([x_next], [s.u, s.u_next], [begin, end])
+    (y_next,) = ca.substitute([y], [s.x, s.u, s.t], [x_next, later, s.t + plain.Ts])
+    dx, y = ca.substitute([dx, y], [s.u], [now])
+    y, felt = delayed(y, y_next, past, has_begun, plain.sampled_delays)
+    return [dx, y, x_next, ca.vertcat(*felt, *given, 1.0)]
 
 
 def write_casadi(

@@ -41,22 +41,25 @@ def control_system(
     at : state or input -> its value at the operating point, in its unit; 0 SI where not named.
     time : on the record's clock [s], for a model whose parameters depend on it; default the
         beginning of the first fitted record.
-    pade : order of the Pade approximation of every delay of a sensor, which adds as many states.
+    pade : order of the Pade approximation of every delay of a sensor or an input, which adds as
+        many states.
         Its gain is 1 at all frequencies; its phase is right up to about `pade` divided by the
         delay in rad/s (Golub and Van Loan 1996, 11.3).
-    without_delays : leave out the delays of sensors.
+    without_delays : leave out these delays.
 
     Raises
     ------
     ModelError
-        If a name is no state or input, the model has no slope there, or an output is delayed and
-        no order is given.
+        If a name is no state or input, the model has no slope there, or an output or an input is
+        delayed and no order is given.
     """
     plain = plain_model(fitted, what="a state space", without_delays=without_delays)
-    if plain.delays and pade is None:
-        late = ", ".join(f"{n} by {d:.4g} s" for n, d in plain.delays.items())
+    delays = {**plain.delays, **plain.dead_times}
+    if delays and pade is None:
+        late = ", ".join(f"{n} by {d:.4g} s" for n, d in delays.items())
+        who = "sensors" if plain.delays else "inputs"
         raise ModelError(
-            f"{plain.name}: sensors are delayed ({late}), and no state space has a delay; "
+            f"{plain.name}: {who} are delayed ({late}), and no state space has a delay; "
             "approximate it by pade=3 (--pade 3), or leave it out by without_delays=True "
             "(--without-delays)"
         )
@@ -72,6 +75,10 @@ def control_system(
     for place, name in enumerate(plain.outputs):
         if name in plain.delays:
             A, B, C, D = _delayed(A, B, C, D, place, plain.delays[name], pade or 1)
+            states += [f"{name} delay {i + 1}" for i in range(pade or 1)]
+    for place, name in enumerate(plain.inputs):
+        if name in plain.dead_times:
+            A, B, C, D = _acting_late(A, B, C, D, place, plain.dead_times[name], pade or 1)
             states += [f"{name} delay {i + 1}" for i in range(pade or 1)]
     import control
 
@@ -91,12 +98,7 @@ def _delayed(
     A: Array, B: Array, C: Array, D: Array, place: int, delay: float, order: int
 ) -> tuple[Array, Array, Array, Array]:
     """A state space whose output at `place` passes a Pade approximation of a delay [s]."""
-    import control
-
-    # Of a delay of one second, whose coefficients have one size, with its time stretched.
-    unit = control.tf2ss(*control.pade(1.0, order))
-    a, b, c, d = (np.asarray(getattr(unit, letter)) for letter in "ABCD")
-    a, b = a / delay, b / delay
+    a, b, c, d = _pade(delay, order)
     late = np.zeros((len(C), order))
     late[place] = c[0]
     scale = np.ones((len(C), 1))
@@ -109,6 +111,35 @@ def _delayed(
     )
 
 
+def _acting_late(
+    A: Array, B: Array, C: Array, D: Array, place: int, delay: float, order: int
+) -> tuple[Array, Array, Array, Array]:
+    """A state space whose input at `place` passes a Pade approximation of a delay [s]."""
+    a, b, c, d = _pade(delay, order)
+    given = np.zeros((order, B.shape[1]))
+    given[:, [place]] = b
+    scale = np.ones((1, B.shape[1]))
+    scale[0, place] = d[0, 0]
+    return (
+        np.block([[A, B[:, [place]] @ c], [np.zeros((order, len(A))), a]]),
+        np.vstack([B * scale, given]),
+        np.hstack([C, D[:, [place]] @ c]),
+        D * scale,
+    )
+
+
+def _pade(delay: float, order: int) -> list[Array]:
+    """A state space of a Pade approximation of a delay [s].
+
+    That of one second, whose coefficients have one size, with its time stretched.
+    """
+    import control
+
+    unit = control.tf2ss(*control.pade(1.0, order))
+    a, b, c, d = (np.asarray(getattr(unit, letter)) for letter in "ABCD")
+    return [a / delay, b / delay, c, d]
+
+
 def _matrices(plain: PlainModel, at: Mapping[str, float], time: float) -> list[Array]:
     names = [*plain.states, *plain.inputs]
     for name in at:
@@ -117,7 +148,7 @@ def _matrices(plain: PlainModel, at: Mapping[str, float], time: float) -> list[A
                 f"{plain.name} has no state or input {name!r} to linearise at; it has "
                 f"{', '.join(names)}{nearest(name, names)}"
             )
-    function = function_of(replace(plain, delays={}), ())
+    function = function_of(replace(plain, delays={}, dead_times={}), ())
     x, u, u_next, t, p = function.sx_in()
     dx, y, _ = function.call([x, u, u_next, t, p])
     slopes = ca.Function(
@@ -148,7 +179,7 @@ def write_control(
     system = control_system(fitted, at, pade=pade, without_delays=without_delays)
     path = checked_path(path, "control")
     point = ", ".join(f"{n} = {v:g}" for n, v in (at or {}).items()) or "all states and inputs zero"
-    late = "" if pade is None else f", delays of sensors by Pade approximations of order {pade}"
+    late = "" if pade is None else f", delays by Pade approximations of order {pade}"
     lines = [
         f'"""{fitted.name}, linearised at {point}{late}; SI units. Written by {written_by()}."""',
         "",

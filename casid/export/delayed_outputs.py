@@ -50,21 +50,19 @@ def sampled_delays(
     return found
 
 
-def memory_size(delays: Sequence[SampledDelay]) -> int:
-    """How many numbers a step keeps: past outputs, and whether there was a sample before."""
-    return sum(d.kept for d in delays) + 1 if delays else 0
-
-
-def delayed(y: Expr, y_next: Expr, past: Expr, delays: Sequence[SampledDelay]) -> tuple[Expr, Expr]:
+def delayed(
+    y: Expr, y_next: Expr, past: Expr, has_begun: Expr, delays: Sequence[SampledDelay]
+) -> tuple[Expr, list[Expr]]:
     """Outputs (ny,) as the sensors give them, and the memory after this sample.
 
     Parameters
     ----------
     y, y_next : (ny,) what arrives at the sensors at this sample and the next.
-    past : (memory_size,) zeros before the first sample.
+    past : as many numbers as all `kept` together, or more.
+    has_begun : 1 after the first sample.
     """
-    out, kept, first = ca.vertsplit(y), [], 0
-    has_begun = past[memory_size(delays) - 1]
+    out, first = ca.vertsplit(y), 0
+    kept: list[Expr] = []
     for d in delays:
         now, after = y[d.place], y_next[d.place]
         before = [
@@ -75,4 +73,4 @@ def delayed(y: Expr, y_next: Expr, past: Expr, delays: Sequence[SampledDelay]) -
         around = [*reversed(before), now, after]  # from y[k - whole - 2] to y[k + 1]
         out[d.place] = sum(w * around[i] for i, w in enumerate(d.weights))
         kept += [now, *before[:-1]]
-    return ca.vertcat(*out), ca.vertcat(*kept, 1.0)
+    return ca.vertcat(*out), kept

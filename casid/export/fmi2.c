@@ -3,7 +3,7 @@
    config.h defines the sizes, the sample time, what inputs do within a sample, and the GUID;
    model.h declares model_equations, model_step, model_x0 and model_p.
 
-   A model whose sensors are delayed has a memory of NPAST numbers; its steps are whole samples, and
+   A model with delays has a memory of NPAST numbers; its steps are whole samples, and
    there is no model exchange, as it has no time between its samples.
 
    Value references: states, derivatives of states, inputs, outputs, parameters, in this order.

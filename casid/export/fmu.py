@@ -25,7 +25,6 @@ from casid.compiler import compiler, shared_library
 from casid.errors import DataError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.c_code import header, source
-from casid.export.delayed_outputs import memory_size
 from casid.export.naming import checked_path, identifier, written_by
 from casid.export.plain_model import PlainModel, plain_model
 from casid.model.units import unit_quotient
@@ -39,7 +38,7 @@ def write_fmu(fitted: FittedModel, path: Path, *, without_delays: bool = False) 
     Variables are named as in the model and in SI units; parameters are tunable, initial states can
     be set. In co-simulation with the sample time as communication step, and with the derivatives of
     the inputs where those are joined by straight lines, it goes the very steps of the fit. Where
-    sensors are delayed there is co-simulation alone, by whole samples.
+    sensors or inputs are delayed there is co-simulation alone, by whole samples.
 
     Raises
     ------
@@ -100,7 +99,7 @@ def _config(plain: PlainModel, t0: float, guid: str) -> str:
             f"#define NU {len(plain.inputs)}",
             f"#define NY {len(plain.outputs)}",
             f"#define NP {len(plain.parameters)}",
-            f"#define NPAST {memory_size(plain.sampled_delays)}",
+            f"#define NPAST {plain.memory_size}",
             f"#define SAMPLE_TIME {plain.Ts!r} /* s */",
             f"#define SUBSTEPS {plain.substeps}",
             f"#define T_START {t0!r} /* s */",
@@ -223,8 +222,8 @@ class _Variables:
         )
 
     def _write_kinds(self, root: ElementTree.Element, prefix: str) -> None:
-        """What the unit can be used for: delayed sensors have no time between samples."""
-        is_sampled = bool(self.plain.delays)
+        """What the unit can be used for: delays have no time between samples."""
+        is_sampled = bool(self.plain.memory_size)
         can = {"modelIdentifier": prefix, "canGetAndSetFMUstate": "true"}
         can |= {"canSerializeFMUstate": "true", "canNotUseMemoryManagementFunctions": "true"}
         steps = {

@@ -1,7 +1,7 @@
 """A fitted model as Modelica text.
 
 The equations are written as they were stated, balances with their terms: Modelica needs no explicit
-form, and an eliminated input stays an unknown that its output determines. A sensor's delay is
+form, and an eliminated input stays an unknown that its output determines. A delay is
 Modelica's `delay`. All quantities are in SI units.
 """
 
@@ -87,6 +87,8 @@ class _Writer:
         self.outputs = dict(zip(apart, self.outputs.values(), strict=True))
         self.names = symbols
         self.written = symbols | {f"der_{s}": f"der({symbols[s]})" for s in model.states}
+        for n, late in plain.dead_times.items():
+            self.written[n] = f"delay({symbols[n]}, {number_text(late)})"
         # An unknown input is determined by the output that it was eliminated with.
         self.given = [n for n in signals if model.inputs[n].kind != "unknown"]
         self.given += [e.output for e in e.eliminations]

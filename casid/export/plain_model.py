@@ -1,16 +1,16 @@
 """A fitted model as equations alone: dx/dt = f(x, u, p, t), y = h(x, u, p, t), all in SI units.
 
 What sensors and actuators do to whole columns becomes part of the equations where that is possible:
-a limit is a minimum and a maximum, a first-order lag a state. A delay is no equation; it stays
-apart. What a sensor did to the record of an input (it was late, it lagged) does not concern what
-acts, so the input here is what acted.
+a limit is a minimum and a maximum, a first-order lag a state. A delay is no equation; that of a
+sensor or of a command stays apart. What a sensor did to the record of an input (it was late, it
+lagged) does not concern what acts, so the input here is what acted.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import casadi as ca
@@ -20,6 +20,7 @@ from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.simulation.simulator import band_limited, rk4_sample, stepping_outputs
 from casid.export.delayed_outputs import SampledDelay, sampled_delays
+from casid.export.late_inputs import DeadTime, sampled_dead_times
 from casid.model.clock_signals import ClockSignal
 from casid.model.declarations import Stage
 from casid.model.model import Model
@@ -39,6 +40,7 @@ class PlainModel:
     initial : every state at the beginning of the first fitted record, SI.
     Ts, substeps : sample time [s] and Runge-Kutta steps a sample.
     delays : output -> delay of its sensor [s]; the model's output is what arrives at the sensor.
+    dead_times : input -> how much later it acts [s]; the model's input is what acts.
     notes : what a user of the equations should know.
     """
 
@@ -49,6 +51,7 @@ class PlainModel:
     Ts: float
     substeps: int
     delays: Mapping[str, float]
+    dead_times: Mapping[str, float]
     notes: tuple[str, ...]
 
     @property
@@ -96,6 +99,18 @@ class PlainModel:
         """The delays of outputs, in samples."""
         return sampled_delays(self.outputs, self.delays, self.Ts)
 
+    @property
+    def sampled_dead_times(self) -> list[DeadTime]:
+        """The dead times of inputs, in samples."""
+        holds = {n: self.model.acting_hold(n) for n in self.inputs}
+        return sampled_dead_times(self.inputs, self.dead_times, holds, self.Ts)
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers that a step keeps: outputs and inputs past, and if there was a sample before."""
+        kept = [d.kept for d in self.sampled_delays] + [d.kept for d in self.sampled_dead_times]
+        return sum(kept) + 1 if kept else 0
+
     def shares(self) -> list[float]:
         """Of each input's rise within a sample, the part that it makes as a straight line.
 
@@ -134,7 +149,10 @@ class Expressions:
 
 def expressions(plain: PlainModel) -> Expressions:
     """The equations and the Runge-Kutta step of a plain model."""
-    model, e = plain.model, plain.model.explicit()
+    model = plain.model.copy()
+    for name in plain.dead_times:  # whose line a step is given
+        model.inputs[name] = replace(model.inputs[name], hold="foh", blends=())
+    e = model.explicit()
     t = ca.SX.sym("t")
     u_next = ca.SX.sym("u_next", e.u.numel())
     after = rk4_sample(model, e, u_next, plain.Ts, plain.substeps)
@@ -168,7 +186,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
     Parameters
     ----------
     what : the export, for messages ("C").
-    without_delays : leave out the delays of sensors, with a note.
+    without_delays : leave out the delays of sensors and inputs, with a note.
 
     Raises
     ------
@@ -199,11 +217,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
             )
     shortest = min(steps.lags, default=math.inf)
     substeps = max(fitted.settings.substeps, math.ceil(fitted.Ts / (_STABLE * shortest)))
-    left_out = [
-        f"The sensor of {n} is delayed by {d:.6g} s, which is not in the equations."
-        for n, d in steps.delays.items()
-        if without_delays
-    ]
+    left_out = steps.without_delays() if without_delays else []
     outputs = list(fitted.model.outputs)
     stepping = [outputs[i] for i in stepping_outputs(fitted.model, fitted.model.explicit())]
     blurred = [
@@ -220,6 +234,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         Ts=fitted.Ts,
         substeps=substeps,
         delays={} if without_delays else steps.delays,
+        dead_times={} if without_delays else steps.dead_times,
         notes=(*notes, *steps.notes, *left_out, *blurred),
     )
 
@@ -230,6 +245,7 @@ class _Stages:
     def __init__(self, model: Model, values: dict[str, float], initial: dict[str, float]) -> None:
         self.model, self.values, self.initial = model, values, initial
         self.delays: dict[str, float] = {}
+        self.dead_times: dict[str, float] = {}
         self.lags: list[float] = []
         self.notes: list[str] = []
         model.stages = ()
@@ -249,6 +265,8 @@ class _Stages:
             self.delays[stage.channel] = self.delays.get(stage.channel, 0.0) + value
         elif stage.kind == "lag":
             self._lag_output(stage)
+        elif stage.kind == "late_input":
+            self.dead_times[stage.channel] = value
         elif stage.kind == "lag_input":
             self._lag_input(stage)
         elif stage.kind == "play_input":
@@ -263,6 +281,18 @@ class _Stages:
                 f"The record of the input {stage.channel} was {did} {value:.6g} s; here "
                 f"{stage.channel} is what acted, without that."
             )
+
+    def without_delays(self) -> list[str]:
+        """Notes on the delays, for equations that are used without them."""
+        sensors = [
+            f"The sensor of {n} is delayed by {d:.6g} s, which is not in the equations."
+            for n, d in self.delays.items()
+        ]
+        return sensors + [
+            f"The input {n} acts {d:.6g} s late, which is not in the equations: give them the "
+            "input of that time ago."
+            for n, d in self.dead_times.items()
+        ]
 
     def _drop(self, name: str) -> None:
         """Take out an input that carries tangents alone: it is zero in a simulation."""

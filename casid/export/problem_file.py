@@ -41,6 +41,7 @@ _EXTENSIONS = {
     "delay_input": ("time_delay", "longest"),
     "lag": ("sensor_lag", "longest"),
     "lead_input": ("sensor_lag", "longest"),
+    "late_input": ("dead_time", "longest"),
     "lag_input": ("actuator_lag", "longest"),
     "play_input": ("input_backlash", "largest"),
     "clip": ("saturation", "limit"),

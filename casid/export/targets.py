@@ -28,7 +28,7 @@ def export(
     ----------
     at : operating point of a state space, SI.
     pade : order of the Pade approximation of the delays in a state space.
-    without_delays : leave out the delays of sensors.
+    without_delays : leave out the delays of sensors and inputs.
 
     Raises
     ------

@@ -125,20 +125,25 @@ class Balance:
         return ca.SX(sum(self.terms[1:], self.terms[0]))
 
 
+StageKind = Literal[
+    "delay", "lag", "clip", "delay_input", "lead_input", "late_input", "lag_input", "play_input"
+]
+
+
 @dataclass(frozen=True, slots=True)
 class Stage:
     """What a sensor or an actuator does to its channel, beyond an expression.
 
     An output may be late (`delay`), pass a first-order lag (`lag`) or be clipped (`clip`). Of an
     input what acted is found: the recorded column moved ahead (`delay_input`), rid of its sensor's
-    lag (`lead_input`), or sent through an actuator's lag (`lag_input`) or play (`play_input`). The
-    column is prepared before the simulation; `carrier` is the generated input that brings its
-    change with `parameter` into the sensitivities.
+    lag (`lead_input`), or sent through an actuator's dead time (`late_input`), lag (`lag_input`) or
+    play (`play_input`). The column is prepared before the simulation; `carrier` is the generated
+    input that brings its change with `parameter` into the sensitivities.
 
     `least` is the narrowest play: without play the contacts are those of that one, not of noise.
     """
 
-    kind: Literal["delay", "lag", "clip", "delay_input", "lead_input", "lag_input", "play_input"]
+    kind: StageKind
     channel: str
     parameter: str
     least: float = 0.0
@@ -149,6 +154,14 @@ class Stage:
         return self.kind.endswith("_input")
 
     @property
+    def makes_lines(self) -> bool:
+        """True of what an actuator does that leaves an input as a line in each sample.
+
+        A band-limited input stays one.
+        """
+        return self.kind in ("late_input", "lag_input")
+
+    @property
     def carrier(self) -> str:
         """Name of the input that carries the tangent of an input stage."""
         if self.kind == "delay_input":
@@ -157,5 +170,5 @@ class Stage:
 
     @staticmethod
     def line_of(channel: str) -> tuple[str, str]:
-        """Names of the inputs that say where a lagged input's line in a sample begins and ends."""
+        """Names of the inputs that say where an input's line in a sample begins and ends."""
         return f"start of {channel}", f"end of {channel}"

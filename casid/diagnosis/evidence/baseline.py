@@ -11,6 +11,7 @@ from casid.diagnosis.evidence.corrupted_samples import CorruptedSamples, without
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.recorded_channels import channels_held_out_too, recorded_beside
 from casid.diagnosis.evidence.robust_errors import std_error
+from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
 from casid.diagnosis.evidence.sufficiency import (
     few_step_fit,
     weighted_as_white,
@@ -30,6 +31,7 @@ from casid.identification.signs_from_simulation import (
     quick_settings,
     wrong_sign,
 )
+from casid.model.quantities import count_text
 from casid.time_limit import require_time, until
 
 
@@ -103,13 +105,16 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         as_recorded = _fit_as_recorded(problem, split, settings.fit, negated)
         split = negated_split(split, negated.channel)
     fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
+    split, moved = with_steps_in_gaps(fit, split)
+    if moved:
+        say(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
+        fit = _again(problem, split, settings, fit)
     corrupted, split = without_corrupted(
         fit, split, settings.alpha, without=tuple(settings.without)
     )
     if corrupted.count:
         say(f"leave out {corrupted.count} clipped samples or outliers and fit again")
-        again = replace(settings.fit, starts=1, substeps=fit.criterion.substeps)
-        fit = fit_model(problem.model, split.fitted, again, start=fit.values, throw=False)
+        fit = _again(problem, split, settings, fit)
     fit = weighted_by_errors(fit, settings.fit)
     channels, notes = channels_held_out_too(recorded_beside(problem, split.fitted), split.apart)
     weighing = Weighing(
@@ -135,6 +140,12 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         why_doubtful="" if undecided else why_doubtful(fit, start, errors),
         notes=(of_windows, *notes) if of_windows else notes,
     )
+
+
+def _again(problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit) -> Fit:
+    """The fit to changed records, from what it was."""
+    again = replace(settings.fit, starts=1, substeps=fit.criterion.substeps)
+    return fit_model(problem.model, split.fitted, again, start=fit.values, throw=False)
 
 
 def _uninformative(problem: Problem, split: Split, settings: FitSettings, why: str) -> Baseline:

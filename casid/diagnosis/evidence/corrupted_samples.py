@@ -9,7 +9,12 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
-from casid.diagnosis.evidence.spikes import Spikes, find_spikes, starts_apart
+from casid.diagnosis.evidence.spikes import (
+    Spikes,
+    find_spikes,
+    spread_of_differences,
+    starts_apart,
+)
 from casid.diagnosis.evidence.stuck_sensors import Standstills, find_standstills
 from casid.diagnosis.thresholds import OUTLIERS
 from casid.estimation.holdout import Split, restarts, simulate_apart, whole_simulation
@@ -130,8 +135,9 @@ def confirmed(
 ) -> Spikes | None:
     """The spikes of which another model leaves the larger part; None where there are none.
 
-    Fast misfit, after a step of an input, may stand out like a spike until its cause is known. So
-    may the sample beside a step: left out, it no longer says on which side of it the step is.
+    Fast misfit, after a step of an input, may stand out like a spike until its cause is known: what
+    is left of it then is compared with what it was, and with the noise that is left. The sample
+    beside a step stands out as well: left out, it no longer says on which side of it the step is.
 
     Parameters
     ----------
@@ -142,7 +148,9 @@ def confirmed(
     for e, mask in enumerate(spikes.masks):
         residual = np.where(at.used[e], at.measured[e], np.nan) - at.simulated[e]
         residual[mask] = spikes.measured[e] - at.simulated[e][mask]
-        kept = _above_neighbours(residual, mask) > OUTLIERS.left * spikes.heights[e]
+        height = _above_neighbours(residual, mask)
+        noise = spread_of_differences(residual[np.isfinite(residual)])
+        kept = (height > OUTLIERS.left * spikes.heights[e]) & (height > spikes.limit * noise)
         if e < len(split.whole):
             kept &= ~_beside(at.times[e], onsets)[mask]
         left.append(kept)

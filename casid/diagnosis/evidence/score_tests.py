@@ -38,6 +38,7 @@ from casid.errors import SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.effects.channel_effects import ACTS_LATE
 from casid.model.effects.effect import Effect
 
 
@@ -293,7 +294,10 @@ def _between_samples(
     late = [
         j
         for j, e in enumerate(effects)
-        if e.kind == "time_delay" and e.where in inputs and inputs[e.where].hold == "foh"
+        if e.kind == "time_delay"
+        and e.shape != ACTS_LATE
+        and e.where in inputs
+        and (inputs[e.where].kind, inputs[e.where].hold) == ("measured", "foh")
     ]
     return np.asarray(SCORES.between_samples * Ts * response[:, late].sum(axis=1))
 

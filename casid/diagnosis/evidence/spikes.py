@@ -38,6 +38,7 @@ class Spikes:
     p_value: float
     heights: tuple[Array, ...] = ()  # a record (spikes,): over the mean of its neighbours
     measured: tuple[Array, ...] = ()  # a record (spikes,): what was recorded there
+    limit: float = 0.0  # standard deviations of d that each of them exceeds
 
 
 def find_spikes(
@@ -110,7 +111,13 @@ def find_spikes(
         energy=float(np.sum(height**2)),
         p_value=float(min(1.0, max(p, TINY))),
         heights=tuple(heights),
+        limit=threshold,
     )
+
+
+def spread_of_differences(residual: Array) -> float:
+    """Standard deviation of d of a residual, without the tails."""
+    return _scale(_from_neighbours(residual))
 
 
 def starts_apart(residual: Array, alpha: float) -> bool:

@@ -24,6 +24,7 @@ from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
+from casid.model.effects.channel_effects import ACTS_LATE
 from casid.model.effects.effect import SWITCHED, Effect
 from casid.model.quantities import instant_text, quantity_text
 
@@ -184,6 +185,8 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
         return []
     keys = [s.effect.key for s in table.scores]
     refitted = {c.effect.key for c in search.first_candidates}
+    # Of these an advance is an effect of its own.
+    both_ways = {s.effect.where for s in table.scores if s.effect.shape == ACTS_LATE}
     out: list[Alternative] = []
     for i, key in enumerate(keys):
         if key != effect.key:
@@ -200,7 +203,7 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
             if kind == effect.kind == "scheduled_parameter" and other not in refitted:
                 why = f"in this record {where} acts as {effect.where} does"
                 out.append(Alternative(kind, where, 1.0, why))
-            if kind == effect.kind == "time_delay" and c < 0.0:
+            if kind == effect.kind == "time_delay" and c < 0.0 and where not in both_ways:
                 why = f"an advance of {where} looks the same as a delay of {effect.where}"
                 out.append(Alternative(kind, where, 1.0, why))
     return out[: JUDGING.aliases]

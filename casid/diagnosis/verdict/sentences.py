@@ -145,6 +145,8 @@ def says(effect: Effect, column: str = "") -> str:
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
     if effect.kind in ("offset", "sensor_bias") and effect.is_on_the_clock:
         return effect.description
+    if effect.kind == "time_delay" and effect.description:
+        return f"the input {effect.where} {effect.description}"
     if effect.kind == "hold" and effect.description:
         one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")
         course = f'{effect.description} (hold="{HOLD_OF[effect.description]}")'

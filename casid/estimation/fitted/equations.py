@@ -25,6 +25,7 @@ _STAGES = {
     "clip": ("{c} clipped at {p}", "the sensor is limited"),
     "delay_input": ("{c}(t + {p})", "the record is late"),
     "lead_input": ("{c} + {p} d{c}/dt", "the record lags"),
+    "late_input": ("{c}(t - {p})", "the input acts late"),
     "lag_input": ("{c} behind a lag of {p}", "the actuator lags"),
     "play_input": ("{c} behind play of {p} to either side", "the actuator has play"),
 }

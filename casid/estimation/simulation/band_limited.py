@@ -12,6 +12,7 @@ import functools
 
 import numpy as np
 from scipy.signal import firwin
+from scipy.special import i0, i1
 
 from casid.arrays import Array
 
@@ -62,3 +63,34 @@ def _phases(parts: int) -> tuple[Array, ...]:
         weights = taps[middle + j - near * parts]
         out.append(weights / weights.sum())
     return tuple(out)
+
+
+def moved(u: Array, samples: float) -> tuple[Array, Array]:
+    """A column (N,) later by a number of samples, and the derivative with that number.
+
+    Before and after the record the column has the value of its first and of its last sample.
+    """
+    whole = int(np.floor(samples))
+    back = np.arange(-REACH, REACH + 2)  # samples before k - whole that a value is made of
+    weights, slopes = _kernel(back - (samples - whole))
+    total = weights.sum()
+    slopes = -(slopes - weights * (slopes.sum() / total)) / total
+    pad = REACH + 1 + abs(whole)
+    long = np.pad(u, pad, mode="edge")
+    first = pad - whole + int(back[0]) - 1  # the last of `back` at sample 0
+    n = len(u) + len(back) - 1
+    part = long[first : first + n]
+    return np.convolve(part, weights / total, "valid"), np.convolve(part, slopes, "valid")
+
+
+def _kernel(t: Array) -> tuple[Array, Array]:
+    """sinc(t) under the Kaiser window of `REACH`, and its slope."""
+    share = np.sqrt(np.maximum(1 - (t / (REACH + 1)) ** 2, 0.0))
+    window = i0(_BETA * share) / i0(_BETA)
+    bent = np.where(share > 0, i1(_BETA * share) / np.maximum(share, 1e-12), 0.5 * _BETA)
+    d_window = -_BETA * bent * t / (REACH + 1) ** 2 / i0(_BETA)
+    value = np.sinc(t)
+    near = np.abs(t) < 1e-4  # by its series, where the quotient would lose digits
+    far = np.where(near, 1.0, t)
+    d_value = np.where(near, -(np.pi**2) * t / 3, (np.cos(np.pi * far) - np.sinc(far)) / far)
+    return value * window, d_value * window + value * d_window

@@ -18,7 +18,6 @@ from scipy.signal import lfilter
 from scipy.special import hyp1f1
 
 from casid.arrays import Array
-from casid.model.declarations import Hold
 
 COINCIDENT = 0.1
 """Sample times below which a held input's step and the sample that it falls on are simultaneous."""
@@ -83,31 +82,32 @@ def at_the_step(samples: float) -> tuple[float, float]:
     return left**2, -2 * left / COINCIDENT
 
 
-def lag_inputs(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
-    """An input column (N,) behind a lag as a line in each sample, and its derivative with the lag.
+def lag_lines(lines: Array, samples: float, *, steps: bool) -> tuple[Array, Array]:
+    """An input (N, 3) of a line in each sample behind a lag, the same, and the derivative with it.
 
-    Both are (N, 3): the exact value at the sample, where the line begins, and where it ends. A
+    The columns are the value at the sample, where the line begins, and where it ends. A
     held input that steps moves nothing behind a lag at the sample itself, but the line that stands
     for what follows begins beside it. Without a lag it is the new value that acts there: for lags
-    shorter than `COINCIDENT` samples the value lies between the two. Mean and first moment over the
-    sample are those of the exact response to the input held or (else) joined by straight lines, so
-    that nothing moves in time; without a lag the line is the input. Before the record the input was
-    what it is at its first sample. After the last sample it is held.
+    shorter than `COINCIDENT` samples the value of an input that `steps` lies between the two. Mean
+    and first moment over the sample are those of the exact response to the lines, so that nothing
+    moves in time; without a lag they are the lines. Before the record the input was what it is at
+    its first sample.
     """
     decay, slope = _decay(samples)
     (p, h, f, g), (dp, dh, df, dg) = _line_weights(samples)
-    rise = np.zeros_like(u)
-    if hold != "zoh":
-        rise[:-1] = np.diff(u)
+    given, u, rise = lines[:, 0], lines[:, 1], lines[:, 2] - lines[:, 1]
     # From (1) with w = u + rise a, 0 <= a <= 1: x(a) = w(a) - r rise + (x - u + r rise) exp(-a/r).
     driven = u * (1 - decay) + rise * (1 - p)
-    x = _recursion(decay, u[0], driven[:-1])
-    dx = _recursion(decay, 0.0 * u[0], (slope * (x - u) - dp * rise)[:-1])
+    x = _recursion(decay, given[0], driven[:-1])
+    dx = _recursion(decay, 0.0 * given[0], (slope * (x - u) - dp * rise)[:-1])
     mean = u + 0.5 * rise + p * (x - u) - h * rise
     d_mean = dp * (x - u) + p * dx - dh * rise
     tilt = (1 - f) * rise - g * (x - u)
     d_tilt = -df * rise - dg * (x - u) - g * dx
-    now, d_now = lag_held(u, samples) if hold == "zoh" else (x, dx)
+    now, d_now = x, dx
+    if steps:
+        new, d_new = at_the_step(samples)
+        now, d_now = x + new * (given - x), (1 - new) * dx + d_new * (given - x)
     return (
         np.stack([now, mean - 0.5 * tilt, mean + 0.5 * tilt], axis=1),
         np.stack([d_now, d_mean - 0.5 * d_tilt, d_mean + 0.5 * d_tilt], axis=1),

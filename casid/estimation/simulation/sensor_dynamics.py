@@ -13,19 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
+from casid.estimation.simulation import band_limited
 from casid.estimation.simulation.first_order_lags import (
     delay_held,
     lag_columns,
     lag_held,
-    lag_inputs,
+    lag_lines,
 )
-from casid.model.declarations import Stage
+from casid.estimation.simulation.sample_lines import delayed_lines, lines_of
+from casid.model.declarations import Hold, Stage
 from casid.model.model import Model
 
-MEMORY = {"delay": 1.0, "lag": 5.0}
-"""Of an output stage: how long the unknown past is felt, in units of its parameter.
+MEMORY = {"delay": 1.0, "lag": 5.0, "late_input": 1.0}
+"""How long the unknown past is felt in a stage, in units of its parameter.
 
-Five time constants after its start less than a hundredth of what was before remains.
+Five time constants after its start less than a hundredth of what was before remains. What a late
+input did before the record all outputs show; after that time the initial state makes up for it.
 """
 
 
@@ -114,9 +117,10 @@ def _lagged(columns: Array, samples: float) -> Array:
 def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: float) -> Array:
     """A copy of the inputs (N, nu) with every input stage applied and all carriers filled.
 
-    Delays and leads come first, an actuator's lag last: they commute, but a lag of an input that is
-    held or joined by straight lines leaves a line in every sample, which begins and ends where its
-    companions say; its own column has the values at the samples. A band-limited input stays one.
+    What happened to the record comes first, the dead time and then the lag of an actuator last:
+    they commute, but an input that is held or joined by straight lines leaves these as a line in
+    every sample, which begins and ends where its companions say; its own column has the values at
+    the samples. A band-limited input stays one.
 
     Parameters
     ----------
@@ -136,30 +140,58 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
                     columns = {n: c[last] for n, c in columns.items()}
                 columns[channel] = columns[channel] - gap * sign
                 columns[stage.carrier] = -sign
-            elif stage.kind != "lag_input":
+            elif not stage.makes_lines:
                 value = values[stage.parameter]
                 change = _slope(columns[channel], value if stage.kind == "delay_input" else 0.0, Ts)
                 columns = {n: _moved(stage.kind, c, value, Ts) for n, c in columns.items()}
                 columns[stage.carrier] = change
-        for stage in mine:
-            if stage.kind == "lag_input":
-                hold = model.acting_hold(channel)
+        acting = sorted((s for s in mine if s.makes_lines), key=lambda s: s.kind == "lag_input")
+        if Stage.line_of(channel)[0] not in place:
+            for stage in acting:
                 r = values[stage.parameter] / Ts
-                if Stage.line_of(channel)[0] not in place:
-                    change = lag_columns(columns[channel], r)[1]
-                    columns = {n: _lagged(c, r) for n, c in columns.items()}
-                    columns[stage.carrier] = change / Ts
-                    continue
-                lines = {n: lag_inputs(c, r, hold)[0] for n, c in columns.items()}
-                lines[stage.carrier] = lag_inputs(columns[channel], r, hold)[1] / Ts
-                for name, line in lines.items():
-                    for own, at in zip((name, *Stage.line_of(name)), line.T, strict=True):
-                        out[:, place[own]] = at
-                break
-        else:
+                change = _acted(stage.kind, columns[channel], r)[1]
+                columns = {n: _acted(stage.kind, c, r)[0] for n, c in columns.items()}
+                columns[stage.carrier] = change / Ts
             for name, column in columns.items():
                 out[:, place[name]] = column
+            continue
+        for name, lines in _lines(acting, columns, values, Ts, model.acting_hold(channel)).items():
+            for own, at in zip((name, *Stage.line_of(name)), lines.T, strict=True):
+                out[:, place[own]] = at
     return out
+
+
+def _acted(kind: str, column: Array, samples: float) -> tuple[Array, Array]:
+    """A band-limited column behind a dead time or a lag, and its derivative with that."""
+    if kind == "late_input":
+        return band_limited.moved(column, samples)
+    return lag_columns(column, samples)
+
+
+def _lines(
+    stages: list[Stage],
+    columns: dict[str, Array],
+    values: Mapping[str, float],
+    Ts: float,
+    hold: Hold,
+) -> dict[str, Array]:
+    """The line in each sample (N, 3) that becomes of a channel and of what carries its tangents.
+
+    `columns` has the channel first. A dead time comes before a lag among the `stages`.
+    """
+    channel = next(iter(columns))
+    lines: dict[str, Array] = {}
+    for stage in stages:
+        r = values[stage.parameter] / Ts
+        if stage.kind == "late_input":
+            change = delayed_lines(columns[channel], r, hold)[1]
+            lines = {n: delayed_lines(c, r, hold)[0] for n, c in columns.items()}
+        else:
+            lines = lines or {n: lines_of(c, hold) for n, c in columns.items()}
+            change = lag_lines(lines[channel], r, steps=hold == "zoh")[1]
+            lines = {n: lag_lines(c, r, steps=hold == "zoh")[0] for n, c in lines.items()}
+        lines[stage.carrier] = change / Ts
+    return lines
 
 
 def play(column: Array, gap: float) -> tuple[Array, Array]:

@@ -180,18 +180,19 @@ class SimulationError:
         return total
 
     def _burn(self) -> None:
-        """Leave out the first samples of delayed or lagging outputs, due to earlier inputs."""
+        """Leave out the first samples of what is late or lags, due to earlier inputs."""
         for d in self.data:
             d.used[self.due_to_earlier(d)] = False
 
     def due_to_earlier(self, d: Signals) -> Array:
-        """(N, ny) the first samples of delayed or lagging outputs, due to earlier inputs."""
+        """(N, ny) the first samples of what is late or lags, due to earlier inputs."""
         out = np.zeros(d.used.shape, dtype=bool)
         for stage in self.model.stages:
             if stage.kind in MEMORY:
                 longest = MEMORY[stage.kind] * self.model.parameters[stage.parameter].upper
                 first = min(int(np.ceil(longest / d.Ts)) + 1, d.N)
-                out[:first, self.outputs.index(stage.channel)] = True
+                columns = slice(None) if stage.is_of_input else self.outputs.index(stage.channel)
+                out[:first, columns] = True
         return out
 
     def _bound_initial_states(self) -> None:

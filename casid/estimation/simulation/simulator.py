@@ -81,10 +81,10 @@ def inputs_within(
 ) -> Iterator[Any]:
     """Every input at a share of a sample; `course` of the band-limited ones, None: on the line.
 
-    One that passes a lag is a line that begins and ends where its companion columns say; what
+    One that acts late or lags is a line that begins and ends where its companion columns say; what
     blends would do to it is that of its samples, which is exact once they are settled.
     """
-    lagged = any(stage.kind == "lag_input" for stage in model.stages)
+    lines = any(stage.makes_lines for stage in model.stages)
     banded = band_limited(model)
     for i, name in enumerate(e.inputs):
         entry, ends = model.inputs[name], Stage.line_of(name)
@@ -93,7 +93,7 @@ def inputs_within(
         if name in banded:
             acts["bandlimited"] = line if course is None else course[banded.index(name)]
         value, settled = acts[entry.hold], None
-        if lagged and ends[0] in e.inputs:
+        if lines and ends[0] in e.inputs:
             begin, end = (e.u[e.inputs.index(n)] for n in ends)
             value = begin + share * (end - begin)
             settled = model.acting_hold(name)

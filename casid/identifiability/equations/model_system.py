@@ -218,6 +218,7 @@ _CALLED = {
     "delay_input": "delay",
     "lag": "sensor's lag",
     "lead_input": "sensor's lag",
+    "late_input": "dead time",
     "lag_input": "actuator's lag",
     "play_input": "actuator's play",
     "clip": "clipping",

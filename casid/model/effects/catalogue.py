@@ -20,6 +20,7 @@ from casid.model.effects.balance_effects import (
 )
 from casid.model.effects.channel_effects import (
     channel_effects_of,
+    dead_times_of,
     saturation,
     sensor_bias,
     time_delay,
@@ -91,6 +92,7 @@ def catalogue(
     for channel in (*model.outputs, *measured):
         effects.append(sensor_bias(model, channel))
         effects.append(time_delay(model, channel, sizes.longest_delay))
+    effects += dead_times_of(model, sizes)
     effects += further_places_of_inputs(model, sizes)
     effects += channel_effects_of(model, sizes, recorded)
     effects += sensor_effects_of(model, sizes)

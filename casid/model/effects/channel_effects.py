@@ -42,10 +42,12 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
 
     Parameters
     ----------
-    channel : an output of `model`, whose simulation is delayed, or a measured input, which is then
-        moved ahead.
+    channel : an output of `model`, whose simulation is delayed; a measured input, which is then
+        moved ahead; or a known one, which acts late (`dead_time`).
     longest : upper bound of the delay [s].
     """
+    if channel in model.inputs and model.inputs[channel].kind == "known":
+        return dead_time(model, channel, longest)
     p = Parameter(f"delay_{channel}", "s", 0.0, lower=0.0, upper=longest)
     if channel in model.outputs:
 
@@ -62,11 +64,73 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
     )
 
 
+def dead_time(model: Model, channel: str, longest: float) -> Effect:
+    """A recorded input that acts later than it is recorded, by at most `longest` seconds.
+
+    A command has a dead time (a valve, a driver, a network), a measured input a transport delay (a
+    flow in a pipe, whose sensor is upstream). The input, held, joined by straight lines or
+    band-limited as declared, is delayed by any part of a sample. What it did before the record no
+    sample shows: as many samples as `longest` has are left out of every output.
+
+    Raises
+    ------
+    ModelError
+        If the input is not recorded, stands in for an unknown one, or acts late already.
+    """
+    entry = model.inputs[channel]
+    if channel not in commands_of(model):
+        raise ModelError(
+            f"{model.name}: {channel} is no recorded command (it is {entry.kind}, or was an output "
+            "before an elimination); request time_delay of such a channel"
+        )
+    if is_late(model, channel):
+        raise ModelError(
+            f"{model.name}: the input {channel} acts late already; extend the model before that "
+            "delay"
+        )
+    p = Parameter(f"dead_time_{channel}", "s", 0.0, lower=0.0, upper=longest)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        carry(new, Stage("late_input", channel, names[0]))
+
+    is_command = entry.kind == "known"
+    return Effect(
+        "time_delay",
+        channel,
+        (p,),
+        apply,
+        sided="positive",
+        limit=longest,
+        priority=1,
+        shape="" if is_command else ACTS_LATE,
+        description=f"{ACTS_LATE}, by a dead time" if is_command else LATER_THAN_RECORDED,
+    )
+
+
+ACTS_LATE = "acts late"
+"""Shape of the delay of a measured input that is not its sensor's."""
+
+LATER_THAN_RECORDED = "acts later than it is recorded"
+
+
+def commands_of(model: Model) -> list[str]:
+    """Recorded inputs that no elimination made of an output."""
+    gone = {m.output for m in model._measured}
+    return [n for n, u in model.inputs.items() if u.kind in ("measured", "known") and n not in gone]
+
+
+def dead_times_of(model: Model, sizes: Sizes) -> list[Effect]:
+    """Recorded inputs that may act late, each that does not yet."""
+    longest = max(RANGES.dead_time * (sizes.window[1] - sizes.window[0]), sizes.longest_delay)
+    return [dead_time(model, n, longest) for n in commands_of(model) if not is_late(model, n)]
+
+
 def carry(model: Model, stage: Stage) -> None:
     """Add a stage that prepares an input column, with the input that carries its tangent.
 
-    The carrier does between its samples what the channel does, so that the tangent is exact. Behind
-    a lag an input is a line in each sample, with columns for its ends; a band-limited one stays so.
+    The carrier does between its samples what the channel does, so that the tangent is exact. An
+    input that acts late or lags is a line in each sample, with columns for its ends; a band-limited
+    one stays so.
     """
     entry = model.inputs[stage.channel]
     slope = unit_quotient(entry.unit, model.parameters[stage.parameter].unit, 1)
@@ -77,7 +141,8 @@ def carry(model: Model, stage: Stage) -> None:
         stage.channel, model.symbol(stage.channel) + model.symbol(stage.parameter) * carrier
     )
     model.stages = (*model.stages, stage)
-    if is_lagging(model, stage.channel) and model.acting_hold(stage.channel) != "bandlimited":
+    is_line = any(s.makes_lines and s.channel == stage.channel for s in model.stages)
+    if is_line and model.acting_hold(stage.channel) != "bandlimited":
         for name in (stage.channel, *_carriers(model, stage.channel)):
             unit = model.inputs[name].unit
             for end in Stage.line_of(name):
@@ -87,6 +152,16 @@ def carry(model: Model, stage: Stage) -> None:
 def is_lagging(model: Model, channel: str) -> bool:
     """True if an input acts through an actuator's lag already."""
     return any(s.kind == "lag_input" and s.channel == channel for s in model.stages)
+
+
+def is_late(model: Model, channel: str) -> bool:
+    """True if an input acts through a dead time already."""
+    return any(s.kind == "late_input" and s.channel == channel for s in model.stages)
+
+
+def _has_lines(model: Model, channel: str) -> bool:
+    """True if an input is a line in each sample, whatever it was declared."""
+    return Stage.line_of(channel)[0] in model.inputs
 
 
 def _carriers(model: Model, channel: str) -> list[str]:
@@ -251,7 +326,8 @@ def _holds_of_all(model: Model) -> Iterator[Effect]:
             for name, entry in model.inputs.items()
             if entry.kind in ("measured", "known")
             and entry.hold == declared
-            and not (entry.blends or name in was_output or is_lagging(model, name))
+            and not (entry.blends or name in was_output)
+            and not (is_lagging(model, name) or is_late(model, name))
         ]
         if len(channels) > 1:
             yield hold_of_all(model, channels, toward)
@@ -322,7 +398,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         ]
     for channel, entry in model.inputs.items():
         if entry.kind in ("measured", "known") and not entry.blends:
-            lines = is_lagging(model, channel) and Stage.line_of(channel)[0] in model.inputs
+            lines = _has_lines(model, channel)
             others = [h for h in HOLDS if h != entry.hold and not (lines and h == "bandlimited")]
             effects += [hold(model, channel, other) for other in others]
     return [*effects, *_holds_of_all(model)]

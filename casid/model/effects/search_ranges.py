@@ -174,6 +174,12 @@ class Ranges:
     """Bounds of what an effect's first parameter may be."""
 
     actuator_lag: float = _is(0.05, "of the window, the longest lag of an actuator", _STRUCTURE)
+    dead_time: float = _is(
+        0.1,
+        "of the window, the longest dead time of an input: as much of every output is left out, as "
+        "it is due to what was before the record",
+        _STRUCTURE,
+    )
     sensor_lag: float = _is(2.0, "longest delays, the longest lag of a sensor", _CHANNELS)
     lowest_scale: float = _is(-0.9, "lower bound of a sensor's scale error", _CHANNELS)
     highest_scale: float = _is(3.0, "upper bound of a sensor's scale error", _CHANNELS)

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.model.declarations import Parameter, Stage
-from casid.model.effects.channel_effects import carry, is_lagging
+from casid.model.effects.channel_effects import carry, commands_of, is_lagging
 from casid.model.effects.effect import Effect, Sizes, known_while_null
 from casid.model.effects.search_ranges import MISSING_MODES, RANGES
 from casid.model.model import Model
@@ -30,7 +30,7 @@ def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
         If the input is not recorded, stands in for an unknown one, or lags already.
     """
     entry = model.inputs[channel]
-    if entry.kind not in ("measured", "known") or channel not in _commands(model):
+    if entry.kind not in ("measured", "known") or channel not in commands_of(model):
         raise ModelError(
             f"{model.name}: {channel} is no recorded command (it is {entry.kind}, or was an output "
             "before an elimination); request sensor_lag of such a channel"
@@ -101,7 +101,7 @@ def mode_frequencies(sizes: Sizes, Ts: float | None = None) -> list[float]:
 def structure_effects_of(model: Model, sizes: Sizes) -> list[Effect]:
     """Actuators that may lag: one for each recorded command that does not yet."""
     longest = RANGES.actuator_lag * (sizes.window[1] - sizes.window[0])
-    return [actuator_lag(model, c, longest) for c in _commands(model) if not is_lagging(model, c)]
+    return [actuator_lag(model, c, longest) for c in commands_of(model) if not is_lagging(model, c)]
 
 
 def missing_modes_of(model: Model, sizes: Sizes, Ts: float | None = None) -> list[Effect]:
@@ -117,9 +117,3 @@ def missing_modes_of(model: Model, sizes: Sizes, Ts: float | None = None) -> lis
         if model.position_of(b.rate) is not None
         for omega in frequencies
     ]
-
-
-def _commands(model: Model) -> list[str]:
-    """Recorded inputs that no elimination made of an output."""
-    gone = {m.output for m in model._measured}
-    return [n for n, u in model.inputs.items() if u.kind in ("measured", "known") and n not in gone]

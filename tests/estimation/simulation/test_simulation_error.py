@@ -110,8 +110,12 @@ def with_delay() -> casid.Model:
 
 def with_input_delay() -> casid.Model:
     m = oscillator()
-    m.inputs["force"] = replace(m.inputs["force"], hold="foh")
+    m.inputs["force"] = replace(m.inputs["force"], kind="measured", hold="foh")
     return m.extend(time_delay(m, "force", 0.2))
+
+
+def with_dead_time() -> casid.Model:
+    return oscillator().extend(time_delay(oscillator(), "force", 0.2))
 
 
 def with_clipping() -> casid.Model:
@@ -124,9 +128,10 @@ def with_clipping() -> casid.Model:
         (oscillator, None),
         (with_delay, ("delay_position", 0.053)),
         (with_input_delay, ("delay_force", 0.053)),
+        (with_dead_time, ("dead_time_force", 0.053)),
         (with_clipping, ("limit_position", 0.07)),
     ],
-    ids=["plain", "delayed output", "delayed input", "clipped output"],
+    ids=["plain", "delayed output", "delayed input", "late command", "clipped output"],
 )
 def test_the_gradient_is_that_of_the_criterion_as_computed(model, own):
     criterion = SimulationError(model(), [experiment(noise=0.01)], substeps=1)

@@ -7,8 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
-from casid.estimation.simulation.first_order_lags import lag_inputs
+from casid.estimation.simulation.first_order_lags import lag_lines
 from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.sample_lines import lines_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.effects.effect import Sizes
@@ -280,8 +281,8 @@ def test_a_short_lag_of_a_held_input_is_near_no_lag_and_has_its_derivative(tau: 
     """Of the value at the sample on which the input steps, too, which an output may show."""
     steps = np.repeat([0.0, 1.0, -2.0], 5)
     step = 1e-7
-    line, change = lag_inputs(steps, tau, "zoh")
-    above = lag_inputs(steps, tau + step, "zoh")[0]
+    line, change = lag_lines(lines_of(steps, "zoh"), tau, steps=True)
+    above = lag_lines(lines_of(steps, "zoh"), tau + step, steps=True)[0]
     assert (above - line) / step == pytest.approx(change, abs=1e-4)
     if tau == 0.0:
         assert line == pytest.approx(np.stack([steps] * 3, axis=1), abs=1e-12)

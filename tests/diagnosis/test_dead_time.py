@@ -1,0 +1,111 @@
+"""An input that acts late is one cause, however many sensors show it.
+
+The records come from matrix exponentials between the corners of the late input, which share no code
+with casid.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import casid
+
+TS = 0.02
+N = 1500
+M, D, K = 2.0, 1.5, 50.0
+OUTPUTS = ("position", "speed")
+
+
+def problem(kind: str, *, known: bool, outputs: tuple[str, ...] = OUTPUTS) -> casid.Problem:
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    force = m.input("force", "N", hold=kind, known=known)
+    k, d = m.parameter("k", "N/m", start=40.0), m.parameter("d", "N s/m", start=1.0)
+    mass = m.parameter("m", "kg", start=1.5, lower=0.1)
+    m.derivative(x, v)
+    m.balance(v, "force balance", inertia=mass, terms=[-k * x, -d * v, force])
+    if "position" in outputs:
+        m.output("position", x, "m")
+    if "speed" in outputs:
+        m.output("speed", v, "m/s")
+    return casid.Problem("oscillator", m, channels={n: n for n in ("force", *outputs)})
+
+
+def record(kind: str, delay: float, seed: int = 1) -> casid.Record:
+    """What acts is the recorded force of `delay` seconds ago, before the record its first value.
+
+    With a negative delay the force is recorded late.
+    """
+    rng = np.random.default_rng(seed)
+    given = 10 * np.repeat(rng.uniform(-1, 1, N // 15 + 20), 15)[: N + 200]
+    if kind == "foh":
+        given = np.convolve(given, np.hanning(9) / np.hanning(9).sum(), "same")
+    A = np.zeros((4, 4))  # x, v, the force and its slope
+    A[:2, :3] = [[0.0, 1.0, 0.0], [-K / M, -D / M, 1 / M]]
+    A[2, 3] = 1.0
+    whole = int(np.floor(delay / TS))
+    s = delay / TS - whole
+    first, second = expm(A * s * TS), expm(A * (1 - s) * TS)
+    state, y = np.zeros(2), np.empty((N, 2))
+    for k in range(N):
+        y[k] = state
+        before, now, after = given[np.clip(k - whole + np.arange(-1, 2), 0, None)]
+        if kind == "zoh":
+            state = (first @ [*state, before, 0.0])[:2]
+            state = (second @ [*state, now, 0.0])[:2]
+        else:
+            rise = now - before
+            state = (first @ [*state, before + (1 - s) * rise, rise / TS])[:2]
+            state = (second @ [*state, now, (after - now) / TS])[:2]
+    y += 0.01 * y.std(axis=0) * rng.standard_normal((N, 2))
+    columns = {"force": given[:N], "position": y[:, 0], "speed": y[:, 1]}
+    return casid.Record(columns, {"force": "N", "position": "m", "speed": "m/s"}, Ts=TS)
+
+
+def diagnosed(kind: str, delay: float, *, known: bool, outputs=OUTPUTS) -> casid.Diagnosis:
+    used = record(kind, delay)
+    used = used.without(*(n for n in OUTPUTS if n not in outputs))
+    return casid.diagnose(problem(kind, known=known, outputs=outputs), used, advise=False)
+
+
+@pytest.mark.parametrize("kind", ["zoh", "foh"])
+@pytest.mark.parametrize("samples", [0.4, 2.37, 30.7])
+def test_a_late_command_is_one_cause_of_what_both_sensors_show(kind: str, samples: float) -> None:
+    """Less than a sample, and half a period of the motion."""
+    d = diagnosed(kind, samples * TS, known=True)
+    (cause,) = d.causes
+    assert (cause.kind, cause.where) == ("time_delay", "force")
+    (p,) = cause.parameters
+    assert p.name == "dead_time_force"
+    assert p.value == pytest.approx(samples * TS, abs=4 * p.std_error)
+    assert p.std_error < 0.01 * TS
+    assert cause.sentence == "the input force acts late, by a dead time"
+    assert "acting force = [new: force(t - dead_time_force)]" in str(d.model.equations())
+
+
+@pytest.mark.parametrize(("delay", "name"), [(0.053, "dead_time_force"), (-0.053, "delay_force")])
+def test_a_measured_input_acts_late_or_is_recorded_late(delay: float, name: str) -> None:
+    d = diagnosed("foh", delay, known=False)
+    (cause,) = d.causes
+    assert (cause.kind, cause.where) == ("time_delay", "force")
+    (p,) = cause.parameters
+    assert p.name == name
+    assert p.value == pytest.approx(abs(delay), abs=4 * p.std_error + 0.02 * TS)
+    said = "acts later than it is recorded" if delay > 0 else "is delayed"
+    assert said in cause.sentence
+
+
+def test_of_one_output_a_late_command_and_a_late_sensor_are_the_same() -> None:
+    """Only the time between the two is in the data."""
+    d = diagnosed("zoh", 2.37 * TS, known=True, outputs=("position",))
+    (cause,) = d.causes
+    assert {"time_delay in force", "time_delay in position"} <= set(cause.tied)
+    assert cause.parameters[0].value == pytest.approx(2.37 * TS, abs=0.02 * TS)
+
+
+def test_an_advance_of_an_input_that_may_act_late_is_no_further_alternative() -> None:
+    d = diagnosed("foh", 0.053, known=False, outputs=("position",))
+    for cause in d.causes:
+        assert not [a for a in cause.alternatives if a.why.startswith("an advance of force")]

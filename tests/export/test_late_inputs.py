@@ -1,0 +1,154 @@
+"""Exports of a model whose command acts late: the very samples of casid's simulation.
+
+After the last sample of a record the command is held, and what a step does there is not the
+record's: the last sample is left out.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import casid
+from casid.arrays import Array
+from casid.errors import ModelError
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.model.effects.channel_effects import dead_time, time_delay
+from tests.export.test_c_code import compiled, needs_compiler, pointer
+from tests.export.test_fmu import unit
+from tests.support.fitted_models import assert_same, driven_mass, fitted_model
+
+LATE = (0.3, 1.0, 2.3, 17.75)  # samples
+TS = 0.01
+COMMAND = 5 + np.cumsum(np.random.default_rng(3).standard_normal(200))
+
+
+@cache
+def late_mass(samples: float, hold: str = "zoh", late_sensor: float = 0.0) -> FittedModel:
+    """A mass that shows its position and, at once, the force on it."""
+    m = driven_mass()
+    force = m.symbol("force")
+    if hold != "zoh":
+        m = casid.Model("joined")
+        x, v = m.state("x", "m"), m.state("v", "m/s")
+        force = m.input("force", "N", hold=hold)
+        d, k = m.parameter("d", "N s/m", start=1.0), m.parameter("k", "N/m", start=40.0)
+        m.derivative(x, v)
+        m.balance(v, "force", inertia=m.constant("m", 2.0, "kg"), terms=[-k * x, -d * v, force])
+        m.output("position", x, "m")
+    m.output("load", force, "N")
+    effects = [lambda m: dead_time(m, "force", 0.5)]
+    values = {"d": 1.2, "k": 55.0, "dead_time_force": TS * samples}
+    if late_sensor:
+        effects.append(lambda m: time_delay(m, "position", 0.1))
+        values["delay_position"] = TS * late_sensor
+    problem = casid.Problem("mass", m, channels={n: n for n in ("force", "position", "load")})
+    return fitted_model(problem, effects, values, x0=(0.1, -0.2), Ts=TS, N=len(COMMAND))
+
+
+def simulated(fitted: FittedModel) -> Array:
+    record = fitted.simulate({"force": COMMAND})
+    return np.column_stack([record["position"], record["load"]])
+
+
+def stepped(fitted: FittedModel) -> Array:
+    """By the exported CasADi function, sample by sample."""
+    function = fitted.to_casadi()
+    x, past, y = [0.1, -0.2], np.zeros(function.numel_in("past")), []
+    for u, u_next in zip(COMMAND, [*COMMAND[1:], COMMAND[-1]], strict=True):
+        step = function(x=x, u=u, u_next=u_next, past=past)
+        x, past = step["x_next"], step["past_next"]
+        y.append(np.array(step["y"]).ravel())
+    return np.array(y)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("samples", LATE)
+def test_the_casadi_function_remembers_commands(samples: float, hold: str) -> None:
+    fitted = late_mass(samples, hold)
+    assert_same(stepped(fitted)[:-1], simulated(fitted)[:-1])
+
+
+def test_a_late_command_and_a_late_sensor_share_the_memory() -> None:
+    fitted = late_mass(2.3, late_sensor=1.6)
+    assert fitted.to_casadi().numel_in("past") == 3 + 3 + 1
+    assert_same(stepped(fitted)[:-1], simulated(fitted)[:-1])
+
+
+def test_without_delays_the_command_acts_at_once() -> None:
+    function = late_mass(2.3).to_casadi(without_delays=True)
+    assert function.name_in() == ["x", "u", "u_next", "t", "p"]
+
+
+@needs_compiler
+@pytest.mark.parametrize("samples", [0.3, 2.3])
+def test_the_c_step_remembers_commands(samples: float, tmp_path: Path) -> None:
+    fitted = late_mass(samples)
+    library = compiled(fitted.to_c(tmp_path / "model"))
+    text = (tmp_path / "model.h").read_text()
+    kept = int(samples) + 2  # past samples, and whether there was one
+    assert f"#define MODEL_NPAST {kept}\n" in text
+    assert f"Inputs act late (force by {TS * samples:.6g} s)" in text
+    n_p = int(text.partition("#define MODEL_NP ")[2].split()[0])
+    p = np.array((ctypes.c_double * n_p).in_dll(library, "model_p"))
+    x = np.array((ctypes.c_double * 2).in_dll(library, "model_x0"))
+    past, y = np.zeros(kept), []
+    for k in range(len(COMMAND) - 1):
+        u, u_next, given = COMMAND[k : k + 1].copy(), COMMAND[k + 1 : k + 2].copy(), np.zeros(2)
+        x_next, past_next = np.zeros(2), np.zeros(kept)
+        before = [pointer(x), pointer(u), pointer(u_next), ctypes.c_double(0.0), pointer(p)]
+        after = [pointer(x_next), pointer(given), pointer(past_next)]
+        library.model_step(*before, pointer(past), *after)
+        x, past = x_next, past_next
+        y.append(given)
+    assert_same(np.array(y), simulated(fitted)[:-1])
+
+
+@needs_compiler
+@pytest.mark.parametrize("samples", [0.3, 2.3])
+def test_co_simulation_remembers_commands(samples: float, tmp_path: Path) -> None:
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    fitted = late_mass(samples)
+    path = fitted.to_fmu(tmp_path / "model.fmu")
+    assert fmpy.read_model_description(str(path)).modelExchange is None
+    y = []
+    with unit(path, "CoSimulation") as (fmu, places):
+        fmu.setupExperiment(startTime=0.0)
+        fmu.enterInitializationMode()
+        fmu.exitInitializationMode()
+        for k, u in enumerate(COMMAND):
+            fmu.setReal([places["force"]], [u])
+            y.append(fmu.getReal([places["position"], places["load"]]))
+            fmu.doStep(currentCommunicationPoint=k * TS, communicationStepSize=TS)
+    assert_same(np.array(y)[:-1], simulated(fitted)[:-1])
+
+
+def test_the_state_space_has_a_pade_approximation_of_the_dead_time() -> None:
+    """Of order n its relative error is (s T)^(2n+1) n!^2 / ((2n)! (2n+1)!)."""
+    fitted, T = late_mass(2.3), 0.023
+    with pytest.raises(ModelError, match=r"inputs are delayed \(force by 0.023 s\).*pade=3"):
+        fitted.to_control()
+    prompt, late = fitted.to_control(without_delays=True), fitted.to_control(pade=3)
+    assert late.nstates == prompt.nstates + 3
+    for wT in (0.1, 0.5, 1.0):
+        s = 1j * wT / T
+        left_out = wT**7 * 36 / (720 * 5040)
+        assert_allclose(late(s), prompt(s) * np.exp(-s * T), rtol=1.1 * left_out + 1e-12)
+
+
+def test_modelica_and_the_problem_file_say_the_delay(tmp_path: Path) -> None:
+    fitted = late_mass(2.3)
+    text = fitted.to_modelica(tmp_path / "Mass.mo").read_text()
+    assert "delay(force, 0.023)" in text
+    lines = fitted.to_problem_file(tmp_path / "mass.py").read_text()
+    assert 'm.extend(casid.dead_time(m, "force", longest=0.5))' in lines.replace("model", "m")
+    problem = casid.load_problem(tmp_path / "mass.py")
+    again = problem.model
+    stages = [(s.kind, s.channel) for s in again.stages]
+    assert stages == [("late_input", "force")]
+    assert again.parameters["dead_time_force"].start == pytest.approx(0.023)
