@@ -12,6 +12,7 @@ import sys
 import textwrap
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Protocol
 
@@ -63,7 +64,13 @@ GROUND = set(
 )
 
 
-def imports_of(path: Path, *, in_folder: bool = False) -> Iterator[tuple[str, bool]]:
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imports_of(path: Path, *, in_folder: bool = False) -> tuple[tuple[str, bool], ...]:
     """Every absolute import of a file: module, and whether it happens at import time.
 
     Relative imports are refused; with `in_folder` those of files of the same folder are left out.
@@ -86,13 +93,13 @@ def imports_of(path: Path, *, in_folder: bool = False) -> Iterator[tuple[str, bo
             )
             yield from walk(child, now and not inside)
 
-    yield from walk(ast.parse(path.read_text(encoding="utf-8")), True)
+    return tuple(walk(tree_of(path), True))
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=name_of)
-def test_casid_imports_neither_problems_nor_analysis(path: Path) -> None:
-    roots = {module.partition(".")[0] for module, _ in imports_of(path)}
-    assert not roots & {"problems", "analysis", "tests", "benchmarks", "docs"}
+def test_casid_imports_neither_problems_nor_analysis() -> None:
+    for path in SOURCES:
+        roots = {module.partition(".")[0] for module, _ in imports_of(path)}
+        assert not roots & {"problems", "analysis", "tests", "benchmarks", "docs"}, name_of(path)
 
 
 def allowed_imports() -> dict[str, set[str]]:
@@ -108,18 +115,19 @@ def test_the_table_of_layers_has_no_cycle_and_names_every_package() -> None:
     assert {name_of(path).partition(".")[0] for path in SOURCES} - {""} == set(table)
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=name_of)
-def test_imports_between_packages_run_one_way(path: Path) -> None:
+def test_imports_between_packages_run_one_way() -> None:
     """Imports for the type checker and inside functions count like all others."""
-    if path == ROOT / "casid" / "__init__.py":
-        return
-    if path.stem == "__init__":
-        assert not [m for m, _ in imports_of(path) if m.startswith("casid")]
-        return
-    allowed = allowed_imports()[name_of(path).partition(".")[0]]
-    used = {m.split(".")[1]: m for m, _ in imports_of(path) if m.startswith("casid.")}
-    used.pop("__version__", None)
-    assert not {package: m for package, m in used.items() if package not in allowed}
+    table = allowed_imports()
+    for path in SOURCES:
+        if path == ROOT / "casid" / "__init__.py":
+            continue
+        if path.stem == "__init__":
+            assert not [m for m, _ in imports_of(path) if m.startswith("casid")], name_of(path)
+            continue
+        allowed = table[name_of(path).partition(".")[0]]
+        used = {m.split(".")[1]: m for m, _ in imports_of(path) if m.startswith("casid.")}
+        used.pop("__version__", None)
+        assert not {p: m for p, m in used.items() if p not in allowed}, name_of(path)
 
 
 def test_no_imports_run_in_a_circle() -> None:
@@ -208,8 +216,7 @@ def test_a_misspelt_name_is_told_the_nearest() -> None:
 
 
 def public_functions(path: Path) -> Iterator[tuple[str, ast.FunctionDef | ast.ClassDef]]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in tree.body:
+    for node in tree_of(path).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
             yield node.name, node
             if isinstance(node, ast.ClassDef):
@@ -218,12 +225,11 @@ def public_functions(path: Path) -> Iterator[tuple[str, ast.FunctionDef | ast.Cl
                         yield f"{node.name}.{child.name}", child
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=name_of)
-def test_every_public_function_says_what_it_does(path: Path) -> None:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert ast.get_docstring(tree), f"{path.name} does not say what it holds"
-    silent = [name for name, node in public_functions(path) if not ast.get_docstring(node)]
-    assert not silent
+def test_every_public_function_says_what_it_does() -> None:
+    for path in SOURCES:
+        assert ast.get_docstring(tree_of(path)), f"{name_of(path)} does not say what it holds"
+        silent = [name for name, node in public_functions(path) if not ast.get_docstring(node)]
+        assert not silent, name_of(path)
 
 
 def test_no_path_of_a_machine_stands_in_the_repository() -> None:

@@ -11,14 +11,12 @@ from casid.errors import ModelError
 from casid.unknown_inputs.networks.network import Network, dynamic_network
 from casid.unknown_inputs.networks.random_equations import random_point
 
-q = Rational.shift()
-
 
 def random_module(rng: np.random.Generator) -> Rational:
     """(d q + b) / (q - a) with small rationals; a third of them without direct term."""
     a, b, d = (Fraction(int(x), 7) for x in rng.integers(-6, 7, 3))
     d *= int(rng.integers(0, 3) > 0)
-    return (d * q + b) / (q - a) if (d or b) else 1 / (q - a)
+    return Rational((d, b) if (d or b) else (Fraction(1),), (Fraction(1), -a), "q")
 
 
 def random_network(seed: int, most: int = 8, density: float = 0.35) -> Network:
