@@ -151,6 +151,26 @@ class StepsInGaps:
     )
 
 
+_DEAD_TIMES = f"{TESTS}/test_dead_time.py"
+
+
+@dataclass(frozen=True, slots=True)
+class DeadTimes:
+    """The scan for long dead times, of models that err by `REFITS.far`."""
+
+    delays: int = _is(
+        40,
+        "delays that are tried, evenly from zero to the longest: one each quarter percent of "
+        "the window, within which a command that moves at all has hardly changed",
+        _DEAD_TIMES,
+    )
+    part: int = _is(4_000, "samples, all records together, that are simulated for it", _DEAD_TIMES)
+    steps: int = _is(2, "Gauss-Newton steps of everything else at each of them", _DEAD_TIMES)
+    less: float = _is(
+        0.5, "of the sum of squares without a delay, that one must leave at most", _DEAD_TIMES
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Prewhitening:
     """Noise found at a fit."""
@@ -879,6 +899,7 @@ SUFFICIENCY = Sufficiency()
 CLIPPING = Clipping()
 OUTLIERS = Outliers()
 STEPS_IN_GAPS = StepsInGaps()
+DEAD_TIMES = DeadTimes()
 PREWHITENING = Prewhitening()
 SCORES = Scores()
 FUNCTIONS = Functions()
@@ -906,6 +927,7 @@ GROUPS = (
     CLIPPING,
     OUTLIERS,
     STEPS_IN_GAPS,
+    DEAD_TIMES,
     PREWHITENING,
     SCORES,
     FUNCTIONS,

@@ -71,9 +71,9 @@ def diagnosed(kind: str, delay: float, *, known: bool, outputs=OUTPUTS) -> casid
 
 
 @pytest.mark.parametrize("kind", ["zoh", "foh"])
-@pytest.mark.parametrize("samples", [0.4, 2.37, 30.7])
+@pytest.mark.parametrize("samples", [0.4, 2.37, 30.7, 60.7])
 def test_a_late_command_is_one_cause_of_what_both_sensors_show(kind: str, samples: float) -> None:
-    """Less than a sample, and half a period of the motion."""
+    """Less than a sample, half a period of the motion and a whole one."""
     d = diagnosed(kind, samples * TS, known=True)
     (cause,) = d.causes
     assert (cause.kind, cause.where) == ("time_delay", "force")

@@ -60,7 +60,9 @@ class Refitting:
             )
             if found is not None and (best is None or found.gain > best.gain):
                 best = found
-        best = self._from_declared_starts(at, effect, starts or {}, best)
+        best = self._from_declared_starts(at, effect, starts or {}, 0.0, best)
+        if is_dead_time(effect):
+            best = self._from_declared_starts(at, effect, starts or {}, step, best)
         if best is None:
             return None
         best = self._with_more_room(at, best)
@@ -89,9 +91,10 @@ class Refitting:
         at: Weighted,
         effect: Effect,
         starts: Mapping[str, float],
+        step: float,
         best: Candidate | None,
     ) -> Candidate | None:
-        """The better of `best` and a fit from where the user would start.
+        """The better of `best` and a fit from where the user would start, the effect from `step`.
 
         A model that is far from what was measured fits it with parameters that are far away, too,
         and the way back may lead over a hill.
@@ -100,7 +103,7 @@ class Refitting:
             return best
         if best is not None and error_over_noise(best.fit, at.noise) < REFITS.explained:
             return best
-        start, upper = _starts(at, effect, 0.0, near=True)[0]
+        start, upper = _starts(at, effect, step, near=True)[0]
         first = {**starts, effect.parameters[0].name: start}
         afresh = partial(self._from, at, effect, first, upper, {})
         found = self.attempts.attempt(name_of(effect), afresh)
@@ -192,6 +195,11 @@ class Refitting:
                 else ""
             )
         return bool(self.left_out[effect.key])
+
+
+def is_dead_time(effect: Effect) -> bool:
+    """True of an input that acts late."""
+    return effect.kind == "time_delay" and effect.parameters[0].name.startswith("dead_time_")
 
 
 def moved_parameter(effect: Effect) -> str | None:

@@ -48,9 +48,9 @@ def preselected(
     share = ROUNDS.part / sum(samples)
     if sum(samples) <= ROUNDS.long or at.criterion.own or len(compared) < ROUNDS.fewest_compared:
         return everything
-    if _misfit_in_head(at, share) < ROUNDS.head_misfit * share:
+    if _misfit_inhead_of(at, share) < ROUNDS.head_misfit * share:
         return everything
-    heads = [_head(e, share) for e in refitting.weighing.experiments]
+    heads = [head_of(e, share) for e in refitting.weighing.experiments]
     weighing = replace(refitting.weighing, experiments=heads)
     small = Refitting(weighing, refitting.left_out, refitting.attempts)
     part = replace(at, fit=weighing.fitted(at.model, at, at.fit.values), unbiased=None)
@@ -67,7 +67,7 @@ def preselected(
     return out
 
 
-def _misfit_in_head(at: Weighted, share: float) -> float:
+def _misfit_inhead_of(at: Weighted, share: float) -> float:
     """Share of the whitened residual's sum of squares in the first part of the records."""
     inside = total = 0.0
     for e, d in enumerate(at.criterion.data):
@@ -77,7 +77,7 @@ def _misfit_in_head(at: Weighted, share: float) -> float:
     return inside / max(total, TINY)
 
 
-def _head(experiment: Experiment, share: float) -> Experiment:
+def head_of(experiment: Experiment, share: float) -> Experiment:
     """The first `share` of an experiment's samples."""
     record = experiment.record
     last = record.t0 + (round(share * record.N) - 1) * record.Ts

@@ -24,6 +24,7 @@ from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.alternatives import on_common_samples, ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate, name_of
+from casid.diagnosis.search.dead_times import with_far_dead_times
 from casid.diagnosis.search.friction_speeds import sharpened
 from casid.diagnosis.search.imitations import (
     drives_one_way,
@@ -104,6 +105,7 @@ class Search:
             found += [c for c, resonates in zip(lines, at_resonance, strict=True) if not resonates]
         if "cogging" not in self.without:
             found += [c for c in cogging_candidates(at, sizes) if c.effect.key not in taken]
+        table = with_far_dead_times(at, self.weighing.experiments, table, self.attempts)
         return table.with_peaks([_peak_score(c) for c in found])
 
     def _scores(
