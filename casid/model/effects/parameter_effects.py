@@ -81,7 +81,7 @@ def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Eff
 def state_scheduled_parameter(
     model: Model, name: str, state: str, size: Motion, power: int = 1
 ) -> Effect:
-    """A parameter p that falls or grows with the size of a state x.
+    """A parameter p that falls or grows with the size of a state or an input x.
 
     Iron that saturates lowers a motor's constant or an inductance with the current, and the force
     factor of a voice coil falls with its displacement. `size` is the motion of |x|^power in the
@@ -92,7 +92,7 @@ def state_scheduled_parameter(
     old = model.parameters[name]
     unit = old.unit
     for _ in range(power):
-        unit = unit_quotient(unit, model.states[state].unit, 1)
+        unit = unit_quotient(unit, model.symbol_units[state], 1)
     label = "slope" if power == 1 else "curvature"
     p = Parameter(f"{label}_{name}_{state}", unit, 0.0)
     m = carrying_unit(size.mean)
@@ -219,13 +219,14 @@ def flow_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 
 def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
-    """The states in the outputs that hold a parameter, where no equation of motion holds it."""
+    """States and inputs in the outputs that hold a parameter, where no equation of motion does."""
     stated = [*model._rates.values(), *(b.inertia for b in model.balances.values())]
     if inside or any(ca.which_depends(ca.vertcat(*stated), symbol)):
         return []
     outputs = [ca.SX(e) for e, _ in model.outputs.values()]
     seen = [e for e in outputs if any(ca.which_depends(e, symbol))]
-    return sorted({s.name() for e in seen for s in ca.symvar(e)} & model.states.keys())
+    recorded = {n for n, u in model.inputs.items() if u.kind in ("known", "measured")}
+    return sorted({s.name() for e in seen for s in ca.symvar(e)} & {*model.states, *recorded})
 
 
 def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:

@@ -135,13 +135,8 @@ def test_a_model_that_knows_how_its_parameter_follows_the_channel_is_adequate():
     assert found.value == pytest.approx(0.5 * DAMPING, abs=3 * found.std_error)
 
 
-@pytest.mark.slow
-def test_a_resistance_in_what_a_sensor_shows_is_named_with_the_charge_that_it_depends_on():
-    """v = v_0 + k z - R (1 - 0.4 (z - 1/2)) i at a charge z counted exactly: R~z, -0.4 R."""
-    rng, N = np.random.default_rng(2), 1800
-    i = np.repeat(rng.uniform(-2.0, 5.0, N // 30), 30)
-    z = 0.9 - np.concatenate([[0.0], np.cumsum(i)[:-1]]) / 9000.0
-    v = 3.4 + 0.7 * z - 0.03 * (1 - 0.4 * (z - 0.5)) * i + 5e-4 * rng.standard_normal(N)
+def battery() -> casid.Problem:
+    """A charge that is counted, and a voltage that falls with it and by R i."""
     m = casid.Model("battery")
     current, charge = m.input("i", "A", hold="zoh", known=True), m.state("z", "1", initial=0.9)
     m.derivative(charge, -current / m.constant("Q", 9000.0, "A s"))
@@ -152,11 +147,34 @@ def test_a_resistance_in_what_a_sensor_shows_is_named_with_the_charge_that_it_de
         m.parameter("v_0", "V", start=3.0, lower=1.0, upper=5.0) + k * charge - R * current,
         "V",
     )
+    return casid.Problem("battery", m)
+
+
+@pytest.mark.slow
+def test_a_resistance_in_what_a_sensor_shows_is_named_with_the_charge_that_it_depends_on():
+    """v = v_0 + k z - R (1 - 0.4 (z - 1/2)) i at a charge z counted exactly: R~z, -0.4 R."""
+    rng, N = np.random.default_rng(2), 1800
+    i = np.repeat(rng.uniform(-2.0, 5.0, N // 30), 30)
+    z = 0.9 - np.concatenate([[0.0], np.cumsum(i)[:-1]]) / 9000.0
+    v = 3.4 + 0.7 * z - 0.03 * (1 - 0.4 * (z - 0.5)) * i + 5e-4 * rng.standard_normal(N)
     record = casid.Record({"i": i, "v": v}, {"i": "A", "v": "V"}, Ts=1.0)
-    first = casid.diagnose(casid.Problem("battery", m), record).causes[0]
+    first = casid.diagnose(battery(), record).causes[0]
     assert (first.kind, first.where) == ("scheduled_parameter", "R~z")
     slope = first.parameters[0]
     assert abs(slope.value + 0.4 * 0.03) < 4 * slope.std_error
+
+
+def test_a_resistance_in_what_a_sensor_shows_may_fall_with_the_recorded_current():
+    """v = v_0 + k z - R (1 - 0.06 |i|) i: R~i, -0.06 R."""
+    rng, N = np.random.default_rng(3), 900
+    i = np.repeat(rng.uniform(-5.0, 5.0, N // 30), 30)
+    z = 0.9 - np.concatenate([[0.0], np.cumsum(i)[:-1]]) / 9000.0
+    v = 3.4 + 0.7 * z - 0.03 * (1 - 0.06 * np.abs(i)) * i + 5e-4 * rng.standard_normal(N)
+    record = casid.Record({"i": i, "v": v}, {"i": "A", "v": "V"}, Ts=1.0)
+    first = casid.diagnose(battery(), record, advise=False).causes[0]
+    assert (first.kind, first.where) == ("scheduled_parameter", "R~i")
+    slope = first.parameters[0]
+    assert abs(slope.value + 0.06 * 0.03) < 4 * slope.std_error
 
 
 def coil(seed: int) -> tuple[casid.Problem, casid.Record]:
