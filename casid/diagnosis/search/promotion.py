@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, extended_by, name_of
+from casid.diagnosis.search.candidates import Adopted, Candidate, extended_by, name_of
 from casid.diagnosis.search.refinement import Adoption, whole_fit
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import simulation_errors
@@ -79,7 +79,8 @@ def _in_its_place(
     if not why_no_better(after.continued, before.continued):
         return found  # the cause predicts better, by more than chance
     adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
-    rivals = [r for r in adopted[i].rivals if r.candidate.effect.key != rival.effect.key]
-    adopted[i] = replace(adopted[i], rivals=(Rival(own, 1.0), *rivals))
+    least = rival.merit - COMPARISON.strong
+    left = (r for r in adopted[i].rivals if r.candidate.effect.key != rival.effect.key)
+    adopted[i] = replace(adopted[i], rivals=tuple(r for r in left if r.candidate.merit > least))
     at = search.weighing.weigh(model, other, rounds=1)
     return replace(found, adopted=tuple(adopted), at=at, fit=other)

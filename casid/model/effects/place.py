@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.model.declarations import Balance
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
 
@@ -91,7 +92,7 @@ def balance_place(model: Model, balance: str) -> Place:
     """One balance: its rate, and the position that the rate moves."""
     b = model.balances[balance]
     v = model.symbol(b.rate)
-    position = model.position_of(b.rate) or _moved_by(model, b.rate)
+    position = model.position_of(b.rate) or _moved_by(model, b.rate) or _swept_by(model, b)
     return Place(
         where=balance,
         unit=b.unit,
@@ -123,6 +124,25 @@ def _moved_by(model: Model, rate: str) -> str | None:
         if slope.nnz() and not any(ca.which_depends(slope, variables)):
             if is_zero(expression - slope * v):
                 return name
+    return None
+
+
+def _swept_by(model: Model, balance: Balance) -> str | None:
+    """A state that the rate moves among others, and that drives the balance in its turn.
+
+    The angle of attack beside the pitch rate, alpha' = q + Z_a alpha: a moment in proportion to it
+    is the stiffness of the pitching motion.
+    """
+    v, states = model.symbol(balance.rate), ca.vertcat(*[model.symbol(n) for n in model.states])
+    sides = dict(model._rates)
+    sides |= {b.rate: b.total / b.inertia for b in model.balances.values() if b is not balance}
+    for name, side in sides.items():
+        stiffness = ca.jacobian(ca.SX(balance.total), model.symbol(name))
+        if not stiffness.nnz() or any(ca.which_depends(stiffness, states)):
+            continue
+        slope = ca.jacobian(ca.SX(side), v)
+        if slope.nnz() and (is_zero(slope - 1) or is_zero(slope + 1)):
+            return name
     return None
 
 
