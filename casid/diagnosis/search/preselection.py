@@ -48,7 +48,7 @@ def preselected(
     share = ROUNDS.part / sum(samples)
     if sum(samples) <= ROUNDS.long or at.criterion.own or len(compared) < ROUNDS.fewest_compared:
         return everything
-    if _misfit_inhead_of(at, share) < ROUNDS.head_misfit * share:
+    if _misfit_in_head(at, share) < ROUNDS.head_misfit * share:
         return everything
     heads = [head_of(e, share) for e in refitting.weighing.experiments]
     weighing = replace(refitting.weighing, experiments=heads)
@@ -67,7 +67,7 @@ def preselected(
     return out
 
 
-def _misfit_inhead_of(at: Weighted, share: float) -> float:
+def _misfit_in_head(at: Weighted, share: float) -> float:
     """Share of the whitened residual's sum of squares in the first part of the records."""
     inside = total = 0.0
     for e, d in enumerate(at.criterion.data):
