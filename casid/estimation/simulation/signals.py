@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -68,6 +68,17 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
         known=model.in_si(experiment.known),
         filled={name: mask for name, mask in experiment.filled.items() if len(mask) == n},
     )
+
+
+def output_spread(data: Sequence[Signals]) -> Array:
+    """(ny,) standard deviation of what was recorded of each output; of a constant, its size."""
+    total = np.zeros(data[0].y.shape[1])
+    for i in range(len(total)):
+        values = np.concatenate([d.y[d.used[:, i], i] for d in data])
+        total[i] = float(np.std(values)) if len(values) > 1 else 0.0
+        if total[i] == 0.0:
+            total[i] = float(np.max(np.abs(values), initial=0.0)) or 1.0
+    return total
 
 
 def input_columns(model: Model, record: Record) -> Array:
