@@ -67,15 +67,24 @@ def rank_of(variables: Sequence[Variable], hessian: Array, x: Array) -> LocalRan
     return local_rank(hessian[np.ix_(free, free)], x[free], names, np.array(scale))
 
 
+_DESCRIBED, _NAMED = 6, 12  # directions in a message, and unknowns in a direction, at most
+
+
 def describe_null(rank: LocalRank) -> str:
     """What is not identifiable, what is determined instead, and the remedy, in sentences."""
     parts = []
-    for direction in rank.null:
+    for direction in rank.null[:_DESCRIBED]:
         names = list(direction)
         if len(names) == 1:
             parts.append(
                 f"{names[0]} does not move any output in this record: give it a known value, or "
                 "record an experiment that excites it"
+            )
+            continue
+        if len(names) > _NAMED:
+            parts.append(
+                f"{', '.join(names[:_NAMED])} and {len(names) - _NAMED} others are not separately "
+                "identifiable: give one of them a known value"
             )
             continue
         together = ", ".join(f"{n} {100 * v:+.3g} %" for n, v in direction.items())
@@ -85,7 +94,9 @@ def describe_null(rank: LocalRank) -> str:
             f"{' and '.join(names)} are not separately identifiable ({together} changes nothing)"
             f"{instead}: give one of them a known value"
         )
-    return "; ".join(dict.fromkeys(parts))
+    more = len(rank.null) - _DESCRIBED
+    rest = [f"and {more} more directions are not determined"] if more > 0 else []
+    return "; ".join([*dict.fromkeys(parts), *rest])
 
 
 def _invariants(direction: Mapping[str, float]) -> list[str]:

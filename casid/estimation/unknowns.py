@@ -84,7 +84,7 @@ class Unknowns:
             If the start is outside the bounds and not to be clipped.
         """
         lower, upper = bounds
-        start = self._given.get(name, start)
+        start = self.given(name, start)
         if clip:
             start = float(np.clip(start, lower, upper))
         elif not lower <= start <= upper:
@@ -96,6 +96,14 @@ class Unknowns:
             )
         self.variables.append(Variable(name, source, float(start), lower, upper, scale))
         return len(self.variables) - 1
+
+    def is_given(self, name: str) -> bool:
+        """Whether the user gave a start value for an unknown."""
+        return name in self._given
+
+    def given(self, name: str, start: float) -> float:
+        """The start value that was given for an unknown, or else `start`."""
+        return self._given.get(name, start)
 
     def add_shared(self) -> None:
         """The parameters that all experiments have in common."""

@@ -17,6 +17,7 @@ from casid.estimation.simulation.minimization import (
     minimize_simulation_error,
     require_minimum,
 )
+from casid.estimation.simulation.short_horizons import begun_at, fit_of_short_horizons
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import ERROR_WEIGHTS, STEPS
 from casid.model.model import Model
@@ -65,25 +66,19 @@ def fit_model(
     IdentifiabilityError, SolveError : as `minimize_simulation_error`.
     """
     is_free = settings.substeps is None
-    criterion = SimulationError(
-        model,
-        experiments,
-        own=settings.own,
-        weights=weights,
-        segments=settings.segments,
-        substeps=settings.substeps or 1,
-        start=start,
-    )
+    criterion = _stated(model, experiments, settings, start, weights)
+    begun = {v.name: v.start for v in criterion.variables}
+    if (near := _near(criterion, settings)) is not None:
+        start, criterion = near.values, begun_at(criterion, near.values)
     if is_free:
         criterion = _resolved(criterion, start)
-    begun = {v.name: v.start for v in criterion.variables}
     fit: Fit | None = None
     while True:
         try:
             fit = minimize_simulation_error(
                 criterion,
                 solver=settings.solver,
-                starts=settings.starts if fit is None else 1,
+                starts=settings.starts if fit is None and near is None else 1,
                 seed=settings.seed,
                 constraints=settings.constraints,
                 check_rank=check_rank and fit is None,
@@ -103,7 +98,34 @@ def fit_model(
         criterion = _refined(criterion, start, fit)
     if throw:
         require_minimum(fit)
-    return replace(fit, begun=begun)
+    of_starts = fit if near is None else near
+    tried, agreeing = of_starts.starts_tried, of_starts.starts_agreeing
+    return replace(fit, begun=begun, starts_tried=tried, starts_agreeing=agreeing)
+
+
+def _stated(
+    model: Model,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    start: Mapping[str, float] | None,
+    weights: Array | None,
+) -> SimulationError:
+    return SimulationError(
+        model,
+        experiments,
+        own=settings.own,
+        weights=weights,
+        segments=settings.segments,
+        substeps=settings.substeps or 1,
+        start=start,
+    )
+
+
+def _near(criterion: SimulationError, settings: FitSettings) -> Fit | None:
+    """A fit near which the search over segments or windows begins, if it needs one."""
+    return fit_of_short_horizons(
+        criterion, solver=settings.solver, starts=settings.starts, seed=settings.seed
+    )
 
 
 _FINER = "finer integration steps"

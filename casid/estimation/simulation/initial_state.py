@@ -11,6 +11,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.estimation.simulation.fit import value_at_start
 from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.short_horizons import begun_at, fit_of_short_horizons
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
@@ -42,6 +43,9 @@ def fit_initial_state(
         )
         if not value_at_start(criterion) <= value_at_start(other):
             criterion = other
+    short = fit_of_short_horizons(criterion)
+    if short is not None:
+        criterion = begun_at(criterion, short.values)
     if not on_clock:
         d = criterion.data[0]
         of_clock = [entry.signal is not None for entry in model.inputs.values()]

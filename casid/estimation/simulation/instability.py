@@ -38,7 +38,7 @@ def segments_for(criterion: SimulationError) -> int:
     growth = growth_rate(criterion) * max(d.N * d.Ts for d in criterion.data)
     if growth < INSTABILITY.growth:
         return 1
-    most = min(d.N for d in criterion.data) // _fewest_samples(criterion)
+    most = min(d.N for d in criterion.data) // fewest_samples(criterion)
     return int(max(1, min(np.ceil(growth / INSTABILITY.per_segment), most, INSTABILITY.most)))
 
 
@@ -52,9 +52,9 @@ def window_for(criterion: SimulationError) -> int:
         return 0
     within = min(INSTABILITY.per_window / (rate * d.Ts) for d in criterion.data)
     least = max(d.N for d in criterion.data) // INSTABILITY.most + 1
-    return int(max(within, least, _fewest_samples(criterion)))
+    return int(max(within, least, fewest_samples(criterion)))
 
 
-def _fewest_samples(criterion: SimulationError) -> int:
+def fewest_samples(criterion: SimulationError) -> int:
     """Samples of a segment or window, at least: it has states to estimate."""
     return max(INSTABILITY.samples, 4 * len(criterion.model.states))

@@ -213,6 +213,7 @@ def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array
     rank = rank_of(criterion.variables, hessian, x0)
     if rank.is_full:
         return
+    _refuse_departures(criterion, x0)
     # A start may be special (a zero, a symmetry): look beside it before refusing.
     beside = _random_start(criterion, x0, np.random.default_rng(99))
     at = criterion.evaluate(beside)
@@ -227,6 +228,32 @@ def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array
     )
 
 
+def _refuse_departures(criterion: SimulationError, x: Array) -> None:
+    """Refuse windows whose simulations leave what was measured: their rank says nothing."""
+    parts = sum(criterion.parts(e) for e in range(len(criterion.data)))
+    if parts == len(criterion.data):
+        return
+    left, first = 0, ""
+    for e, d in enumerate(criterion.data):
+        error = np.abs(criterion.simulated(x, e).residual)
+        out = ~np.isfinite(error) | (error > np.where(d.used, np.abs(d.y), 0.0).max(axis=0))
+        cuts = [0, *criterion.starts_anew(e).tolist(), d.N]
+        for a, b in zip(cuts, cuts[1:], strict=False):
+            if out[a:b].any():
+                first = first or f", the first in that of {d.name} at t = {d.t[a]:g} s"
+                left += 1
+    if left:
+        what = (
+            f"from the start values {left} of {parts} windows leave the range of what was "
+            f"measured{first}"
+        )
+        remedy = (
+            "start the parameters nearer to their values; where the model is singular, bound them "
+            "and record more of the states that its singular terms depend on"
+        )
+        raise DivergenceError(f"{criterion.model.name}: {what}; {remedy}", what)
+
+
 def _constant_inputs(criterion: SimulationError) -> str:
     """Inputs that never move, which may be why; an empty text where all do."""
     constant = [
@@ -239,9 +266,13 @@ def _constant_inputs(criterion: SimulationError) -> str:
 
 
 def _random_start(criterion: SimulationError, x0: Array, rng: np.random.Generator) -> Array:
+    """Beside `x0` (n,); segments and windows begin where they do: that was measured."""
     point = x0.copy()
+    is_cut = max(criterion.parts(e) for e in range(len(criterion.data))) > 1
     for i, v in enumerate(criterion.variables):
         if v.source in criterion.model.states:
+            if is_cut:
+                continue
             point[i] += 0.1 * v.scale * rng.standard_normal()
         elif v.start != 0.0:
             point[i] = v.start * np.exp(0.5 * rng.standard_normal())

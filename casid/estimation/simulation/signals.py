@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -75,6 +75,17 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
             if entry.kind == "measured" and (sd := rounding_of(u[:, i])) > 0.0
         },
     )
+
+
+def output_spread(data: Sequence[Signals]) -> Array:
+    """(ny,) standard deviation of what was recorded of each output; of a constant, its size."""
+    total = np.zeros(data[0].y.shape[1])
+    for i in range(len(total)):
+        values = np.concatenate([d.y[d.used[:, i], i] for d in data])
+        total[i] = float(np.std(values)) if len(values) > 1 else 0.0
+        if total[i] == 0.0:
+            total[i] = float(np.max(np.abs(values), initial=0.0)) or 1.0
+    return total
 
 
 def input_columns(model: Model, record: Record) -> Array:

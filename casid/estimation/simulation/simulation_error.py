@@ -22,13 +22,18 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.errors import DataError
 from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.simulation.measured_states import (
+    measured_output,
+    measured_states,
+    output_equations,
+)
 from casid.estimation.simulation.sensor_dynamics import (
     MEMORY,
     Before,
     prepared_inputs,
     through_sensor,
 )
-from casid.estimation.simulation.signals import Signals, signals_of
+from casid.estimation.simulation.signals import Signals, output_spread, signals_of
 from casid.estimation.simulation.simulator import Simulator
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.grouping import Grouped
@@ -86,6 +91,7 @@ class SimulationError:
         start: Mapping[str, float] | None = None,
     ) -> None:
         self.model, self.segments, self.substeps = model, segments, substeps
+        self.joined = segments > 1
         self.outputs = tuple(model.outputs)
         self._simulators: dict[float, Simulator] = {}
         self._built: dict[object, Any] = {}  # of the model, shared by `of_records`
@@ -108,6 +114,16 @@ class SimulationError:
         """
         other = copy.copy(self)
         other._take(experiments, self.own, weights, whiten, start)
+        return other
+
+    def of_first_samples(self, count: int) -> SimulationError:
+        """The same variables, and of each segment or window its first samples alone, not joined."""
+        other = copy.copy(self)
+        other.joined, other._last, other.data = False, LastOf(), []
+        for d, cuts in zip(self.data, self._cuts, strict=True):
+            part = np.searchsorted(cuts, np.arange(d.N), side="right") - 1
+            early = np.arange(d.N) - cuts[part] < count
+            other.data.append(replace(d, used=d.used & early[:, None]))
         return other
 
     def built(self, key: object, build: Callable[[], Any]) -> Any:
@@ -146,11 +162,12 @@ class SimulationError:
                     f"{d.name}: other parameters are known than in the records before it; state "
                     "its criterion anew"
                 )
-        self.spread = self._spread()
+        self.spread = output_spread(self.data)
         self.weights = 1 / self.spread if weights is None else np.asarray(weights, float)
         self._burn()
         self._index: list[list[Array]] = []  # per experiment and segment: (nv,) variable or -1
         self._cuts: list[Array] = []
+        self._sizes: dict[str, float] = {}  # of states where parts of records begin
         self._lay_out()
         self._last: LastOf[Simulated] = LastOf()
         self._courses: dict[int, tuple[Array, Array]] = {}  # inputs, and the same with courses
@@ -168,16 +185,6 @@ class SimulationError:
                 )
 
     # -- the variables -----------------------------------------------------------------------
-
-    def _spread(self) -> Array:
-        """(ny,) standard deviation of what was recorded of each output; of a constant, its size."""
-        total = np.zeros(len(self.outputs))
-        for i in range(len(self.outputs)):
-            values = np.concatenate([d.y[d.used[:, i], i] for d in self.data])
-            total[i] = float(np.std(values)) if len(values) > 1 else 0.0
-            if total[i] == 0.0:
-                total[i] = float(np.max(np.abs(values), initial=0.0)) or 1.0
-        return total
 
     def _burn(self) -> None:
         """Leave out the first samples of what is late or lags, due to earlier inputs."""
@@ -212,54 +219,69 @@ class SimulationError:
                         self.variables[i] = replace(v, lower=lower, upper=upper)
 
     def _state_scale(self, name: str) -> float:
-        state = self.model.states[name]
-        guess = self._measured_start(name, 0, 0)
-        sizes = [abs(state.start), abs(guess or 0.0)]
-        for i, (_, unit) in enumerate(self.model.outputs.values()):
+        model, state = self.model, self.model.states[name]
+        guess = measured_output(model, name, self.data[0], 0)
+        sizes = [abs(state.start), abs(guess or 0.0), self._sizes.get(name, 0.0)]
+        for i, (_, unit) in enumerate(model.outputs.values()):
             if unit == state.unit:
                 sizes.append(float(self.spread[i]))
         return max(sizes) or 1.0
-
-    def _measured_start(self, state: str, experiment: int, k: int) -> float | None:
-        """The measured value of a state that is itself an output, a median of five samples."""
-        import casadi as ca
-
-        for i, (expression, _) in enumerate(self.model.outputs.values()):
-            if ca.is_equal(ca.SX(expression), self.model.symbol(state), 1):
-                d = self.data[experiment]
-                values = d.y[k : k + 5, i][d.used[k : k + 5, i]]
-                return float(np.median(values)) if len(values) else None
-        return None
 
     def _lay_out(self) -> None:
         unknowns = self.unknowns
         unknowns.add_shared()
         for e, d in enumerate(self.data):
             place = unknowns.add_own(e, clip=True)
+            shared = [place.get(f, -1) for f in self.free]
             cuts = np.linspace(0, d.N, self.parts(e) + 1).astype(int)
+            starts = self._part_starts(e, shared, cuts[:-1])
             rows = []
-            for i in range(self.parts(e)):
-                local = [place.get(f, -1) for f in self.free]
-                for name, state in self.model.states.items():
+            for i, begun in enumerate(starts.tolist()):
+                local = list(shared)
+                for (name, state), start in zip(self.model.states.items(), begun, strict=True):
                     if i == 0 and state.initial is not None:
                         local.append(-1)
                         continue
-                    tag = f"{name}(0)" if i == 0 else f"{name}[{i}]"
-                    measured = self._measured_start(name, e, int(cuts[i]))
-                    local.append(
-                        unknowns.add(
-                            f"{tag}{unknowns.label(e)}",
-                            name,
-                            state.start if measured is None else measured,
-                            # Bounds of a state hold at the start of the record.
-                            (state.lower, state.upper) if i == 0 else (-np.inf, np.inf),
-                            self._state_scale(name),
-                            clip=True,
-                        )
-                    )
+                    # Bounds of a state hold at the start of the record.
+                    bounds = (state.lower, state.upper) if i == 0 else (-np.inf, np.inf)
+                    tag, scale = self._tag(name, i, e), self._state_scale(name)
+                    local.append(unknowns.add(tag, name, start, bounds, scale, clip=True))
                 rows.append(np.array(local))
             self._index.append(rows)
             self._cuts.append(cuts)
+
+    def _tag(self, state: str, part: int, experiment: int) -> str:
+        """The name of the variable that a state is at the start of a part."""
+        place = f"[{part}]" if part else "(0)"
+        return f"{state}{place}{self.unknowns.label(experiment)}"
+
+    def _part_starts(self, e: int, places: Sequence[int], at: Array) -> Array:
+        """(parts, nx) where the parts of a record begin: as given, or measured, or declared.
+
+        A single part begins in what the outputs determine only where the model is not finite in
+        the declared state: otherwise nothing is said of its rates.
+        """
+        model, unknowns, d = self.model, self.unknowns, self.data[e]
+        starts = np.tile([s.nominal for s in model.states.values()], (len(at), 1))
+        for j, name in enumerate(model.states):
+            for i, k in enumerate(at.tolist()):
+                measured = measured_output(model, name, d, k)
+                starts[i, j] = starts[i, j] if measured is None else measured
+        tags = [[self._tag(name, i, e) for name in model.states] for i in range(len(at))]
+        if not all(unknowns.is_given(tag) for row in tags for tag in row):
+            values = unknowns.parameters(unknowns.start, e, places)
+            equations = self.built("measured states", lambda: output_equations(model, self.free))
+            p = np.array([values[name] for name in model.explicit().parameters], dtype=float)
+            if len(at) > 1 or not equations.is_finite(starts[0], d.u[0], p):
+                found = measured_states(equations, d, p, at, starts[0])
+                starts = np.where(np.isfinite(found), found, starts)
+        for i, row in enumerate(tags):
+            starts[i] = [unknowns.given(tag, s) for tag, s in zip(row, starts[i], strict=True)]
+        if len(at) > 1:
+            sizes = np.abs(starts).max(axis=0).tolist()
+            for name, size in zip(model.states, sizes, strict=True):
+                self._sizes[name] = max(size, self._sizes.get(name, 0.0))
+        return starts
 
     variables: ClassVar[Grouped[list[Variable]]] = Grouped("unknowns")  # The NLP's variables
     names: ClassVar[Grouped[tuple[str, ...]]] = Grouped("unknowns")  # Names of the NLP's variables
@@ -277,7 +299,7 @@ class SimulationError:
     @property
     def n_constraints(self) -> int:
         """Continuity constraints between segments."""
-        return len(self.data) * (self.segments - 1) * len(self.model.states)
+        return len(self.data) * (self.segments - 1) * len(self.model.states) if self.joined else 0
 
     @property
     def n_samples(self) -> int:
@@ -425,7 +447,7 @@ class SimulationError:
     @property
     def value_alone(self) -> Callable[[Array], float] | None:
         """`evaluate` without derivatives, in a fraction of its time, for a single segment."""
-        return self._value if self.segments == 1 else None
+        return None if self.joined else self._value
 
     def _value(self, x: Array) -> float:
         value = 0.0
@@ -441,7 +463,7 @@ class SimulationError:
     def _continuity(self, x: Array) -> tuple[Array, Array]:
         n, nx = len(self.variables), len(self.model.states)
         rows, jacs = [np.zeros(0)], [np.zeros((0, n))]
-        if self.segments == 1:
+        if not self.joined:
             return rows[0], jacs[0]
         scale = np.array([self._state_scale(s) for s in self.model.states])
         for e, d in enumerate(self.data):

@@ -15,6 +15,7 @@ _FIT = "tests/estimation/simulation/test_fit.py"
 _AGREEMENT = "tests/estimation/simulation/test_record_agreement.py"
 _FILTER = "tests/estimation/prediction_error/test_extended_likelihood.py"
 _UNSTABLE = "tests/identification/test_unstable.py"
+_SINGULAR = "tests/identification/test_singular_plant.py"
 _WINDOWS = "tests/diagnosis/evidence/test_unstable_records.py"
 _LOOP = "tests/estimation/test_feedback.py"
 _ROUNDING = "tests/estimation/test_rounding.py"
@@ -130,6 +131,16 @@ class Instability:
 
 
 @dataclass(frozen=True, slots=True)
+class MeasuredStates:
+    """How outputs are solved for the states that segments begin in; see `measured_states.py`."""
+
+    steps: int = _is(20, "of Gauss-Newton, at most, for outputs that are not linear", _SINGULAR)
+    settled: float = _is(
+        1e-6, "relative size below which a step is none, and a direction undetermined", _SINGULAR
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class InputAnswers:
     """When an input is said to follow what disturbs the system; see `input_feedback.py`."""
 
@@ -166,6 +177,7 @@ STEPS = Steps()
 ERROR_WEIGHTS = ErrorWeights()
 INPUT_GAPS = InputGaps()
 INSTABILITY = Instability()
+MEASURED_STATES = MeasuredStates()
 INPUT_ANSWERS = InputAnswers()
 ROUNDED = Rounded()
 
@@ -176,6 +188,7 @@ GROUPS = (
     ERROR_WEIGHTS,
     INPUT_GAPS,
     INSTABILITY,
+    MEASURED_STATES,
     INPUT_ANSWERS,
     ROUNDED,
 )
