@@ -66,6 +66,12 @@ class Clipping:
         "of the median step: a step into a plateau that no motion coming to rest takes",
         _PLATEAUS,
     )
+    apart: float = _is(
+        3.0,
+        "times the largest step between other samples, beyond which single samples at an end are a "
+        "value for a fault: a motion that is cut off comes near the limit",
+        _PLATEAUS,
+    )
     beside: int = _is(
         20,
         "distinct values next to the end that show how often values repeat in this channel",

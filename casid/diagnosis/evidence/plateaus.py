@@ -65,6 +65,8 @@ def find_plateaus(
     for side in ends:
         level = float(np.max(side * values))
         at = [u & (side * y >= level) for y, u in zip(measured, used, strict=True)]
+        if _stands_apart(measured, used, at):
+            continue
         p = max(_ties(side * values), TINY)
         beyond = np.concatenate([side * y[m] - level for y, m in zip(simulated, at, strict=True)])
         if p >= alpha or not np.all(np.isfinite(beyond)):
@@ -97,6 +99,24 @@ def find_plateaus(
         energy=energy,
         p_value=smallest,
     )
+
+
+def _stands_apart(measured: Sequence[Array], used: Sequence[Array], at: Sequence[Array]) -> bool:
+    """True of single samples that are further from the next ones than any others from theirs.
+
+    A sensor's or logger's value for a fault: a motion that is cut off comes near the limit.
+    """
+    jumps, steps = [np.zeros(0)], [np.zeros(0)]
+    for y, u, m in zip(measured, used, at, strict=True):
+        values, is_at = y[u], m[u]
+        if np.any(is_at[1:] & is_at[:-1]):
+            return False
+        step, is_edge = np.abs(np.diff(values)), is_at[1:] | is_at[:-1]
+        jumps.append(step[is_edge])
+        steps.append(step[~is_edge])
+    jump, step = np.concatenate(jumps), np.concatenate(steps)
+    least = CLIPPING.apart * float(np.max(step, initial=0.0))
+    return bool(len(jump)) and float(jump.min()) > least
 
 
 def _runs_in(measured: Sequence[Array], at: Sequence[Array]) -> bool:

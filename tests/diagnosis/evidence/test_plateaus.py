@@ -175,3 +175,21 @@ def test_a_channel_without_motion_or_with_few_samples_is_not_judged(values):
 def test_a_simulation_that_diverged_tells_nothing():
     y = motion()
     assert find(np.minimum(noisy(0, y), 1.2), np.full(len(y), np.inf)) is None
+
+
+@pytest.mark.parametrize("fault", [10.0, -4.0, 8.5e4])
+def test_a_value_for_a_fault_is_no_limit_of_the_motion(fault):
+    """It stands alone, further from its neighbours than any sample of the motion."""
+    y = motion()
+    measured = noisy(1, y)
+    measured[[200, 700, 1300, 1900, 2600]] = fault
+    assert find(measured, y) is None
+
+
+def test_a_motion_that_jumps_to_its_limit_for_some_samples_is_cut_off():
+    """The jumps are no larger than those of the motion by far, and the limit holds for a while."""
+    y = 2.0 * np.sign(np.sin(2 * np.pi * np.arange(3000) / 100)) + 0.1 * motion()
+    cut = np.minimum(noisy(1, y), 1.2)
+    found = find(cut, y)
+    assert found is not None
+    assert found.upper == pytest.approx(1.2)
