@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -77,8 +78,8 @@ def numbers_of(
         Fault(
             "text",
             f"{table.path.name}: column {spec.column!r} (channel {channel}) holds {detail}.",
-            "Correct the cells, or leave them empty and mark them missing (--mark-missing, "
-            "mark_missing=True); text that stands for no value is named with --missing TEXT.",
+            "Correct the cells or leave them empty; text that stands for no value is named, "
+            f"--missing {shlex.quote(cells[first][:60])} --mark-missing.",
             spec.column,
             detail,
         )
