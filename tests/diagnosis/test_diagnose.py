@@ -266,6 +266,18 @@ def test_a_record_too_short_for_its_unknowns_is_undecided():
     assert "too few" in d.sentence
 
 
+def test_of_a_short_record_with_outliers_nothing_else_is_said():
+    """Without the spikes the samples are too few: that nothing was tested is no clean bill."""
+    record = record_of(truth.cart_pendulum(seed=3, duration=5.0)).between(0.0, 0.71)
+    gyro = record["gyro"].copy()
+    gyro[[20, 33]] += 3.0
+    record = record.with_channel("gyro", gyro, "rad/s")
+    d = casid.diagnose(pendulum.problem, record)
+    assert [c.kind for c in d.causes] == ["outliers"]
+    for text in (d.sentence, d.advice):
+        assert "samples are too few to judge a model with 5 unknowns; 50 are the least" in text
+
+
 def test_a_record_too_short_for_its_unknowns_does_not_fail_in_the_solver():
     record = record_of(truth.cart_pendulum(seed=3, duration=5.0)).between(0.0, 0.6)
     assert casid.diagnose(pendulum.problem, record).verdict == "undecided"

@@ -155,6 +155,11 @@ def advice(
             f"{separates(causes[0].kind)}."
         )
     if verdict == "deficient" and all(c.kind in OF_SAMPLES for c in causes):
+        if why_undecided:
+            return (
+                "Correct the sensor or the logger, or mark these samples as missing. Whether the "
+                f"model is adequate without them is not known: {why_undecided}."
+            )
         return (
             "Correct the sensor or the logger, or mark these samples as missing; without them, as "
             "they are left out here, nothing in this record contradicts the model."
