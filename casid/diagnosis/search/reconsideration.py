@@ -52,19 +52,30 @@ def _rivals_beside(
     """The rivals of one cause with the others in the model."""
     again = without_cause(search, others, start, at)
     found = [
-        c
-        for b in (a.candidate, *a.contenders[: ROUNDS.rivals])
-        if (c := search.refitting.again(again, b, near=False)) is not None
+        cause_as_it_is(search, a.candidate, again, at),
+        *(
+            c
+            for b in a.contenders[: ROUNDS.rivals]
+            if (c := search.refitting.again(again, b, near=False)) is not None
+        ),
     ]
     require_time("the rivals")  # one that was not refitted is no less a rival
-    if not found or found[0].effect is not a.candidate.effect:
-        return a.rivals
     # Said relative to the cause as it was adopted, among whose gain was the misfit of the others.
     shift = a.candidate.merit - found[0].merit
     return tuple(
         replace(r, candidate=replace(r.candidate, gain=r.candidate.gain + shift))
         for r in rivals_of(again, found[0], found)
     )
+
+
+def cause_as_it_is(search: Search, own: Candidate, again: Weighted, at: Weighted) -> Candidate:
+    """A cause refitted as its rivals are, or as the model with all causes has it if that is better.
+
+    A refit from its declared start may end elsewhere, and any rival be better than that.
+    """
+    kept = search.refitting.judged(again, own.effect, own.names, at.model, at.fit)
+    refit = search.refitting.again(again, own, near=False)
+    return refit if refit is not None and refit.gain > kept.gain else kept
 
 
 def better_rivals(
@@ -77,13 +88,13 @@ def better_rivals(
     """
     last = adopted[-1]
     again = without_cause(search, [a.candidate for a in adopted[:-1]], start, at)
-    first = search.refitting.again(again, last.candidate, near=False)
+    first = cause_as_it_is(search, last.candidate, again, at)
     found = [
         c
         for b in last.contenders[: ROUNDS.rivals]
         if (c := search.refitting.again(again, b, near=False)) is not None
     ]
-    better = [c for c in found if first is not None and c.merit > first.merit + COMPARISON.strong]
+    better = [c for c in found if c.merit > first.merit + COMPARISON.strong]
     most = max((c.merit for c in better), default=0.0)
     best = [c for c in better if c.merit > most - COMPARISON.strong]
     others = [c for c in better if c not in best]

@@ -12,6 +12,7 @@ import pytest
 from casid.diagnosis.search.alternatives import rivals_of
 from casid.diagnosis.search.candidates import Adopted, Candidate, Rival
 from casid.diagnosis.search.promotion import likelier_rival
+from casid.diagnosis.search.reconsideration import cause_as_it_is
 from casid.diagnosis.thresholds import COMPARISON
 from casid.model.effects.balance_effects import coulomb_friction, cubic_damping, quadratic_damping
 from tests.diagnosis.search.test_alternatives import MODEL, judged
@@ -67,3 +68,17 @@ def test_what_leaves_clearly_more_is_no_rival_for_the_noise_that_it_makes_of_the
     other = fitted(judged(friction, 400.0, 0.0), white * np.sqrt(1 + more))
     at: Any = SimpleNamespace(noise_absorbs_misfit=False)
     assert [r.candidate for r in rivals_of(at, best, [best, other])] == [other] * is_rival
+
+
+@pytest.mark.parametrize(("refit", "better"), [(None, 0), (10.0, 0), (90.0, 1)])
+def test_rivals_are_compared_with_the_best_fit_of_a_cause_that_is_known(
+    refit: float | None, better: int
+) -> None:
+    """Its refit from the declared start may end far from where the whole model has it."""
+    own = judged(CUBIC, 50.0, 0.0)
+    other = None if refit is None else judged(CUBIC, refit, 0.0)
+    search: Any = SimpleNamespace(
+        refitting=SimpleNamespace(judged=lambda *_: own, again=lambda *_, **__: other)
+    )
+    at: Any = SimpleNamespace(model=MODEL, fit=None)
+    assert cause_as_it_is(search, own, at, at) is (own, other)[better]
