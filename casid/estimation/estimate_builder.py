@@ -93,6 +93,8 @@ class EstimateBuilder:
             self.warnings.append(
                 f"{row.name} is at its {bound} bound: other standard errors are conditional on it"
             )
+        elif row.std_error is None:
+            row = replace(row, note=row.note or "no standard error: the simulation is chaotic here")
         elif not determined:
             row = replace(row, std_error=None, note="not identifiable at the estimate")
         (self._initial_states if is_state else self._parameters).append(row)
@@ -104,6 +106,7 @@ class EstimateBuilder:
         rows: Sequence[Estimated | None],
         assumes: str,
         covariance: Array | None = None,
+        steep: Sequence[str] = (),
     ) -> Uncertainty:
         """The unknowns of a minimum with their robust standard errors, its rank and its status.
 
@@ -112,19 +115,28 @@ class EstimateBuilder:
         rows : one for each unknown, its error still to be given; None where it is no result.
         assumes : what the errors assume, with a place `{lags}` for the lags of the covariance.
         covariance : (n, n) where it is not the robust one of a minimum.
+        steep : unknowns whose tangents are not the slopes of the simulation: no error is valid.
         """
         names = tuple(v.name for v in criterion.variables)
         lags = 0
         if covariance is None:
             scores, tied = criterion.scores(solution.x), solution.constraint_jacobian
             covariance, lags = sandwich(solution.hessian, scores, solution.is_free, tied)
+        if steep:
+            covariance = np.zeros_like(covariance)
+            self.warnings.append(
+                f"no standard error is valid: a rounding of {' or '.join(steep)} changes the "
+                "simulation as much as it can change, so that its sensitivities are no slopes. An "
+                "inertia may come near zero, or the model be singular there: bound the parameters "
+                "away from it, or simulate in segments"
+            )
         rank = rank_of(criterion.variables, solution.hessian, solution.x)
         undetermined = {n for direction in rank.null for n in direction}
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
         for v, row, error in zip(criterion.variables, rows, sd, strict=True):
             if row is not None:
                 self.add(
-                    replace(row, std_error=error),
+                    replace(row, std_error=None if steep else error),
                     bound_of(solution, v.name),
                     determined=v.name not in undetermined,
                     is_state=v.source in self.model.states,

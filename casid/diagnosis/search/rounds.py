@@ -7,7 +7,7 @@ and ranks what was found (`comparing`). What is adopted of it, `adoption` decide
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -162,6 +162,7 @@ class Search:
         found = placed(refitting, at, found, events_of(adopted), self.progress)
         found = sharpened(refitting, at, found, self.progress)
         found = sorted(on_common_samples(found), key=lambda c: -c.merit)
+        found = list({c.effect.key: c for c in reversed(found)}.values())[::-1]  # the best of each
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
         what = "the comparison of the candidates"
         return attempt(what, lambda: ranked(refitting, at, found)) or found
@@ -195,7 +196,18 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         unnamed = [key for key in keys if key[0] == "unknown"]
         for key in (*named[:most], *unnamed[: ROUNDS.unnamed]):
             chosen.setdefault(key, strongest[key])
-    return list(chosen.values())
+    return [*chosen.values(), *_other_falls(visible, chosen)] if is_far else list(chosen.values())
+
+
+def _other_falls(
+    visible: Sequence[Score], chosen: Mapping[tuple[str, str], Score]
+) -> Iterator[Score]:
+    """Those of chosen parameters with a state to another power: far away, refits alone compare."""
+    for s in visible:
+        first = chosen.get(s.effect.key)
+        if s.effect.kind == "scheduled_parameter" and first is not None:
+            if s.effect.variant != first.effect.variant:
+                yield s
 
 
 def _solution(model: Model, effect: Effect) -> Explicit:

@@ -20,6 +20,7 @@ from casid.estimation.simulation.input_gaps import gap_notes
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.record_agreement import disagreements
 from casid.estimation.simulation.simulation_error import Whitener
+from casid.estimation.simulation.tangents import steeper_than_simulation
 from casid.model.model import Model
 
 SOURCES = (
@@ -114,7 +115,10 @@ def estimate_of(
         else Estimated(v.name, value, units[v.source], False, None, fit.begun.get(v.name, v.start))
         for v, value in zip(criterion.variables, fit.x.tolist(), strict=True)
     ]
-    uncertainty = builder.add_minimum(criterion, solution, rows, bars.assumes, bars.covariance)
+    steep = steeper_than_simulation(criterion, fit.x, solution.hessian)
+    uncertainty = builder.add_minimum(
+        criterion, solution, rows, bars.assumes, bars.covariance, steep
+    )
     for e, d in enumerate(criterion.data):
         residual = criterion.simulated(fit.x, e).residual
         error_e = np.where(d.used, residual, np.nan)

@@ -14,6 +14,7 @@ _BUDGET = "tests/identification/test_budget.py"
 _FIT = "tests/estimation/simulation/test_fit.py"
 _AGREEMENT = "tests/estimation/simulation/test_record_agreement.py"
 _FILTER = "tests/estimation/prediction_error/test_extended_likelihood.py"
+_TANGENTS = "tests/estimation/simulation/test_tangents.py"
 _UNSTABLE = "tests/identification/test_unstable.py"
 _SINGULAR = "tests/identification/test_singular_plant.py"
 _WINDOWS = "tests/diagnosis/evidence/test_unstable_records.py"
@@ -141,6 +142,19 @@ class MeasuredStates:
 
 
 @dataclass(frozen=True, slots=True)
+class Tangents:
+    """When the tangent of a simulation is none; see `tangents.py`."""
+
+    ratio: float = _is(
+        10.0,
+        "times the change of a simulation, by which its tangent may exceed it: a curved "
+        "simulation stays far within it over so small a step, a chaotic one is beyond it by many "
+        "powers of ten",
+        _TANGENTS,
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class InputAnswers:
     """When an input is said to follow what disturbs the system; see `input_feedback.py`."""
 
@@ -178,6 +192,7 @@ ERROR_WEIGHTS = ErrorWeights()
 INPUT_GAPS = InputGaps()
 INSTABILITY = Instability()
 MEASURED_STATES = MeasuredStates()
+TANGENTS = Tangents()
 INPUT_ANSWERS = InputAnswers()
 ROUNDED = Rounded()
 
@@ -189,6 +204,7 @@ GROUPS = (
     INPUT_GAPS,
     INSTABILITY,
     MEASURED_STATES,
+    TANGENTS,
     INPUT_ANSWERS,
     ROUNDED,
 )

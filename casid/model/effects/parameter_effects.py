@@ -86,8 +86,9 @@ def state_scheduled_parameter(
     Iron that saturates lowers a motor's constant or an inductance with the current, and the force
     factor of a voice coil falls with its displacement. `size` is the motion of |x|^power in the
     records (x's unit to that power), m its mean, so that p stays what it is there. With power 1 it
-    is p + s (|x| - m); with power 2 p (p - s m) / (p - s x^2), which is smooth where x is zero and
-    keeps the sign of p however far it falls.
+    is p + s (|x| - m), and of a p that is no less than zero a share is left, so that an inertia
+    never vanishes; with power 2 it is p (p - s m) / (p - s x^2), which is smooth where x is zero
+    and keeps the sign of p however far it falls.
     """
     old = model.parameters[name]
     unit = old.unit
@@ -101,6 +102,8 @@ def state_scheduled_parameter(
         x, value, s = new.symbol(state), new.symbol(name), new.symbol(names[0])
         if power == 1:
             moved = value + s * (ca.fabs(x) - m)
+            if old.lower >= 0.0:
+                moved = ca.fmax(moved, SATURATIONS.left * value)
         else:
             # A parameter may be zero, in a load case say: it stays zero.
             moved = value * (value - s * m) / (value - s * x**2 + carrying_unit(1e-150))

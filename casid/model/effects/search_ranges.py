@@ -54,6 +54,12 @@ class Saturations:
     falls: float = _is(
         20.0, "times the slope at which a straight line is zero on average", _SCHEDULED
     )
+    left: float = _is(
+        0.05,
+        "of a parameter that is no less than zero, what a straight fall leaves at least: at zero "
+        "an inertia is singular and beyond it turns round, where a simulation says nothing",
+        _SCHEDULED,
+    )
     powers: int = _is(2, "highest power of a state that a parameter falls with", _SCHEDULED)
 
 

@@ -270,3 +270,22 @@ def test_a_parameter_that_is_zero_stays_zero_and_slopes_are_numbers(power: int) 
 def test_a_constant_term_has_no_schedule_beside_the_input_that_it_would_be() -> None:
     assert is_constant_term(driven(), "F_0")
     assert not is_constant_term(driven(), "K")
+
+
+def test_an_inertia_that_falls_straight_keeps_a_share_however_far_it_falls():
+    """Beyond the current at which it would vanish an inductance keeps a twentieth of itself."""
+    m = casid.Model("coil")
+    i = m.state("i", "A")
+    u = m.input("u", "V", known=True)
+    m.balance(i, "voltage", inertia=m.parameter("L", "H", start=0.1, lower=1e-3), terms=[u])
+    m.output("i", i, "A")
+    effect = state_scheduled_parameter(m, "L", "i", Motion(1.0, 0.0, 4.0, 1.0))
+    extended, names = effect.extended(m)
+    e = extended.explicit()
+    (slope,) = names
+    order = {n: k for k, n in enumerate(e.parameters)}
+    p = np.zeros(len(order))
+    p[order["L"]], p[order[slope]] = 0.1, -0.05  # zero at 3 A
+    rate = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    for current, inductance in ((1.0, 0.1), (2.0, 0.05), (3.5, 0.005), (-3.5, 0.005)):
+        assert float(rate(current, 1.0, p)) == pytest.approx(1.0 / inductance)
