@@ -350,7 +350,8 @@ def drive_of(advice: Advice, setting: Setting) -> Drive:
         If it is no change of the excitation, which alone is simulated here.
     """
     best = advice.proposals[0]
-    if best.name not in ("wider band", "beside the resonance", "slower"):
+    beside = ("beside the resonance", "beside the main frequency")
+    if best.name not in ("wider band", *beside, "slower"):
         raise ValueError(
             f"the advice is {best.name!r}, and only excitations are simulated here; choose pairs "
             "that one of these decides"

@@ -93,8 +93,6 @@ class EstimateBuilder:
             self.warnings.append(
                 f"{row.name} is at its {bound} bound: other standard errors are conditional on it"
             )
-        elif row.std_error is None:
-            row = replace(row, note=row.note or "no standard error: the simulation is chaotic here")
         elif not determined:
             row = replace(row, std_error=None, note="not identifiable at the estimate")
         (self._initial_states if is_state else self._parameters).append(row)
@@ -131,14 +129,17 @@ class EstimateBuilder:
                 "away from it, or simulate in segments"
             )
         rank = rank_of(criterion.variables, solution.hessian, solution.x)
+        chaotic = "no standard error: the simulation is chaotic here"
         undetermined = {n for direction in rank.null for n in direction}
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
         for v, row, error in zip(criterion.variables, rows, sd, strict=True):
             if row is not None:
                 self.add(
-                    replace(row, std_error=None if steep else error),
+                    replace(row, std_error=None, note=chaotic)
+                    if steep
+                    else replace(row, std_error=error),
                     bound_of(solution, v.name),
-                    determined=v.name not in undetermined,
+                    determined=bool(steep) or v.name not in undetermined,
                     is_state=v.source in self.model.states,
                 )
         self.add_rank(rank)

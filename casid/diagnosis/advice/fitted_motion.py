@@ -110,6 +110,27 @@ class FittedMotion:
         power = np.abs(rfft(y - y.mean())) ** 2
         return float(rfftfreq(d.N, d.Ts)[int(np.argmax(power))])
 
+    def period(self) -> float:
+        """Seconds that one period takes, at half of the power, of the slowest output."""
+        d = self.at.criterion.data[0]
+        y = self.at.criterion.simulated(self.at.fit.x, 0).y
+        slowest = 0.0
+        for v in y.T:
+            power = np.cumsum(np.abs(rfft(v - v.mean())) ** 2)
+            if np.ptp(v) > 0:
+                half = int(np.searchsorted(power, 0.5 * power[-1]))
+                slowest = max(slowest, 1 / float(rfftfreq(len(v), d.Ts)[max(half, 1)]))
+        return slowest
+
+    def resonates(self) -> bool:
+        """True if a pair of poles is damped so little that the response has a peak."""
+        e, criterion, x = self.at.model.explicit(), self.at.criterion, self.at.fit.x
+        slopes = ca.Function("A", [e.x, e.u, e.p], [ca.densify(ca.jacobian(e.f, e.x))])
+        p, _ = criterion.parameter_vector(x, 0)
+        A = slopes(self.states(0).mean(axis=0), criterion.data[0].u.mean(axis=0), p).full()
+        poles = np.linalg.eigvals(A) if A.size and np.all(np.isfinite(A)) else np.zeros(1)
+        return bool(np.any(np.abs(poles.imag) > np.abs(poles.real)))
+
     # -- simulating --------------------------------------------------------------------------
 
     def initial(self, e: int) -> dict[str, float]:

@@ -161,7 +161,7 @@ def next_experiment(
         )
     say = progress or (lambda _: None)
     planner = Planner(FittedMotion(problem, at, seed), seed)
-    rule = _Rule(at, tuple(suspects), margin, power)
+    rule = _Rule(at, tuple(suspects), margin, power, planner.motion.period())
     now = rule.judged(planner.again(), None)
     proposals = []
     for planned in planner.all():
@@ -221,6 +221,7 @@ class _Rule:
     suspects: tuple[Suspect, ...]
     margin: float
     power: float
+    least: float = 0.0  # seconds: less than a period of what moves shows no motion
 
     def judged(self, planned: Planned, now: Proposal | None) -> Proposal:
         """The proposal that a planned experiment makes."""
@@ -245,7 +246,8 @@ class _Rule:
                     worst = energy, abs(cosine), (b.effect.key, a.effect.key)
                 long_enough = planned.seconds * energy / min(given) if isfinite(energy) else inf
                 # Much shorter records than that predicted have other tangents: nothing is promised.
-                longest = max(longest, long_enough, PLANNING.shortest * planned.seconds)
+                least = max(self.least, PLANNING.shortest * planned.seconds)
+                longest = max(longest, long_enough, least)
         assert worst is not None
         energy, cosine, pair = worst
         before = energy if now is None else now.energy_needed

@@ -142,13 +142,14 @@ class Planner:
         """
         centre, top = self.motion.main_frequency(), self.motion.band(EXPERIMENTS.wider)
         low, high = centre / EXPERIMENTS.aside, centre * EXPERIMENTS.aside
+        middle = "resonance" if self.motion.resonates() else "main frequency"
         what = (
-            f"an excitation of the same strength on both sides of the resonance, up to {low:.2g} "
+            f"an excitation of the same strength on both sides of the {middle}, up to {low:.2g} "
             f"Hz and from {high:.2g} to {top:.2g} Hz"
         )
         if not 0 < high < top:
             return None
-        return self._multisine("beside the resonance", what, ((0.0, low), (high, top)))
+        return self._multisine(f"beside the {middle}", what, ((0.0, low), (high, top)))
 
     def free_decay(self) -> Planned | None:
         """Releases from the largest and half the largest offset seen, nothing acting."""

@@ -26,7 +26,7 @@ from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.requirement import word
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import effect_words
+from casid.model.effects.names import effect_words, place_words
 from casid.model.model import Model
 from casid.time_limit import wall_clock
 
@@ -83,7 +83,7 @@ class Undetectable:
         return plain_fields(self, identifiable="told", remedy="mend")
 
     def __str__(self) -> str:
-        return f"{self.kind} in {self.where}: {self.reason}. {self.why} {self.remedy}"
+        return f"{effect_words(self.kind, self.where)}: {self.reason}. {self.why} {self.remedy}"
 
 
 def undetectable_effects(
@@ -249,7 +249,7 @@ def _structural_remedy(effect: Effect, parameters: Sequence[str], states: Sequen
     own = (
         f"calibrate {effect.where} independently of these records"
         if effect.kind.startswith("sensor") or effect.kind == "cross_axis"
-        else f"measure the {effect.where} itself"
+        else f"measure the {place_words(effect.where).removeprefix('the ')} itself"
     )
     if parameters:
         one = parameters[0] if len(parameters) == 1 else f"one of {', '.join(parameters)}"

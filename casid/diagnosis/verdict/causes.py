@@ -26,6 +26,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
 from casid.model.effects.channel_effects import ACTS_LATE
 from casid.model.effects.effect import SWITCHED, Effect
+from casid.model.effects.names import place_words
 from casid.model.quantities import instant_text, quantity_text
 
 
@@ -201,7 +202,9 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
                 continue
             kind, where = other
             if kind == effect.kind == "scheduled_parameter" and other not in refitted:
-                why = f"in this record {where} acts as {effect.where} does"
+                why = (
+                    f"in this record {place_words(where)} acts as {place_words(effect.where)} does"
+                )
                 out.append(Alternative(kind, where, 1.0, why))
             if kind == effect.kind == "time_delay" and c < 0.0 and where not in both_ways:
                 why = f"an advance of {where} looks the same as a delay of {effect.where}"

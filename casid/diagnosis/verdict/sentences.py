@@ -15,7 +15,7 @@ from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import effect_words, either_words
+from casid.model.effects.names import effect_words, either_words, place_words
 from casid.model.quantities import quantity_text, quantity_texts
 
 _SAYS = {
@@ -259,7 +259,7 @@ def _says_cause(c: Cause) -> str:
     if not c.tied:
         return c.sentence
     if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
-        places = either_words(a.where for a in c.alternatives if a.where != c.where)
+        places = either_words(place_words(a.where) for a in c.alternatives if a.where != c.where)
         return f"{c.sentence} (this record does not separate it from the same effect in {places})"
     words = [effect_words(c.kind, c.where), *(a.words for a in c.alternatives)]
     words = list(dict.fromkeys(words))

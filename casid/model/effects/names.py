@@ -59,6 +59,12 @@ def effect_words(kind: str, where: str, channels: frozenset[str] = frozenset()) 
     return f"{words} ({variant})" if variant else words
 
 
+def place_words(where: str) -> str:
+    """The place of an effect in words: a parameter that depends on something is said so."""
+    own, _, source = where.partition("~")
+    return f"the dependence of {own} on {source}" if source else where
+
+
 def either_words(names: Iterable[str]) -> str:
     """`a`, `a or b`, `a, b or c`: one of them, each once."""
     *first, last = dict.fromkeys(names)

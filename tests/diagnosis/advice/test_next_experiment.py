@@ -19,6 +19,7 @@ from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.balance_effects import coulomb_friction, cubic_stiffness, quadratic_damping
 from casid.model.effects.channel_effects import time_delay
 from casid.model.effects.effect import Spread
+from casid.model.effects.names import place_words
 from casid.model.effects.parameter_effects import parameter_jump, scheduled_parameter
 from problems import pendulum, roll_decay
 from tests.support import truth
@@ -205,3 +206,44 @@ def test_a_system_on_which_nothing_acts_can_be_released_or_measured_better():
     ]
     advice = next_experiment(roll_decay.problem, at, suspects)
     assert {p.name for p in advice.proposals} == {"free decay", "sensor of p"}
+
+
+def first_order(at_period: float) -> Weighted:
+    """A store that a slow sine fills and empties, T' = (u - T) / tau, its time constant 20 s."""
+    m = casid.Model("store")
+    T, u = m.state("T", "K"), m.input("u", "K", known=True)
+    m.balance(T, "heat", inertia=m.parameter("tau", "s", start=20.0), terms=[u, -T], unit="K")
+    m.output("T", T, "K")
+    t = np.arange(800.0)
+    w = 2 * np.pi / at_period
+    lag = np.arctan(20 * w)
+    y = np.sin(w * t - lag) / np.hypot(1, 20 * w)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(800)
+    record = casid.Record({"u": np.sin(w * t), "T": y + noise}, {"u": "K", "T": "K"}, Ts=1.0)
+    fit = fit_model(m, [casid.Experiment(record)], FitSettings(starts=1))
+    return Weighing([casid.Experiment(record)]).weigh(m, fit)
+
+
+def test_a_record_of_a_first_order_system_is_no_shorter_than_a_period_and_has_no_resonance():
+    """A sine of 200 s: no fraction of it is advised, and nothing is said to resonate."""
+    at = first_order(200.0)
+    motion = FittedMotion(casid.Problem("store", at.model), at, 0)
+    assert motion.period() == pytest.approx(200.0)
+    assert not motion.resonates()
+    (name,) = at.model.balances
+    suspects = [
+        Suspect(quadratic_damping(at.model, name), 0.5),
+        Suspect(parameter_jump(at.model, "tau", 400.0), 5.0),
+    ]
+    advice = next_experiment(casid.Problem("store", at.model), at, suspects)
+    assert all(p.record_length >= 200.0 for p in (advice.now, *advice.proposals))
+    assert not any("resonance" in p.description for p in advice.proposals)
+
+
+def test_a_lightly_damped_pendulum_resonates(planner):
+    assert planner.motion.resonates()
+
+
+def test_a_parameter_that_depends_on_something_is_said_in_words():
+    assert place_words("K~i") == "the dependence of K on i"
+    assert place_words("torque") == "torque"
