@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from pathlib import Path
+from typing import Any
 
 import control
 import numpy as np
@@ -50,6 +51,29 @@ def test_the_casadi_function_has_a_memory(samples: float) -> None:
         assert_same(np.array(y), wanted)
 
 
+def stepped_in_c(
+    library: Any, header: str, kept: int, command: np.ndarray, outputs: int
+) -> np.ndarray:
+    """(N - 1, outputs) what the C step gives, sample by sample, with `kept` past values."""
+    n_p = int(header.partition("#define MODEL_NP ")[2].split()[0])
+    p = np.array((ctypes.c_double * n_p).in_dll(library, "model_p"))
+    x = np.array((ctypes.c_double * 2).in_dll(library, "model_x0"))
+    past, y = np.zeros(kept), []
+    for k in range(len(command) - 1):
+        u, u_next, given = (
+            command[k : k + 1].copy(),
+            command[k + 1 : k + 2].copy(),
+            np.zeros(outputs),
+        )
+        x_next, past_next = np.zeros(2), np.zeros(kept)
+        before = [pointer(x), pointer(u), pointer(u_next), ctypes.c_double(0.0), pointer(p)]
+        after = [pointer(x_next), pointer(given), pointer(past_next)]
+        library.model_step(*before, pointer(past), *after)
+        x, past = x_next, past_next
+        y.append(given)
+    return np.array(y)
+
+
 @needs_compiler
 @pytest.mark.parametrize("samples", DELAYS)
 def test_the_c_step_has_a_memory(samples: float, tmp_path: Path) -> None:
@@ -59,19 +83,7 @@ def test_the_c_step_has_a_memory(samples: float, tmp_path: Path) -> None:
     kept = int(samples) + 3  # past samples, and whether there was one
     text = (tmp_path / "model.h").read_text()
     assert f"#define MODEL_NPAST {kept}\n" in text
-    n_p = int(text.partition("#define MODEL_NP ")[2].split()[0])
-    p = np.array((ctypes.c_double * n_p).in_dll(library, "model_p"))
-    x = np.array((ctypes.c_double * 2).in_dll(library, "model_x0"))
-    past, y = np.zeros(kept), []
-    for k in range(len(accel) - 1):
-        u, u_next, given = accel[k : k + 1].copy(), accel[k + 1 : k + 2].copy(), np.zeros(1)
-        x_next, past_next = np.zeros(2), np.zeros(kept)
-        before = [pointer(x), pointer(u), pointer(u_next), ctypes.c_double(0.0), pointer(p)]
-        after = [pointer(x_next), pointer(given), pointer(past_next)]
-        library.model_step(*before, pointer(past), *after)
-        x, past = x_next, past_next
-        y.append(given)
-    assert_same(np.array(y), wanted[:-1])
+    assert_same(stepped_in_c(library, text, kept, accel, 1), wanted[:-1])
 
 
 @needs_compiler

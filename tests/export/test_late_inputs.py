@@ -6,7 +6,6 @@ record's: the last sample is left out.
 
 from __future__ import annotations
 
-import ctypes
 from functools import cache
 from pathlib import Path
 
@@ -19,7 +18,8 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.model.effects.channel_effects import dead_time, time_delay
-from tests.export.test_c_code import compiled, needs_compiler, pointer
+from tests.export.test_c_code import compiled, needs_compiler
+from tests.export.test_delayed_outputs import stepped_in_c
 from tests.export.test_fmu import unit
 from tests.support.fitted_models import assert_same, driven_mass, fitted_model
 
@@ -94,19 +94,7 @@ def test_the_c_step_remembers_commands(samples: float, tmp_path: Path) -> None:
     kept = int(samples) + 2  # past samples, and whether there was one
     assert f"#define MODEL_NPAST {kept}\n" in text
     assert f"Inputs act late (force by {TS * samples:.6g} s)" in text
-    n_p = int(text.partition("#define MODEL_NP ")[2].split()[0])
-    p = np.array((ctypes.c_double * n_p).in_dll(library, "model_p"))
-    x = np.array((ctypes.c_double * 2).in_dll(library, "model_x0"))
-    past, y = np.zeros(kept), []
-    for k in range(len(COMMAND) - 1):
-        u, u_next, given = COMMAND[k : k + 1].copy(), COMMAND[k + 1 : k + 2].copy(), np.zeros(2)
-        x_next, past_next = np.zeros(2), np.zeros(kept)
-        before = [pointer(x), pointer(u), pointer(u_next), ctypes.c_double(0.0), pointer(p)]
-        after = [pointer(x_next), pointer(given), pointer(past_next)]
-        library.model_step(*before, pointer(past), *after)
-        x, past = x_next, past_next
-        y.append(given)
-    assert_same(np.array(y), simulated(fitted)[:-1])
+    assert_same(stepped_in_c(library, text, kept, COMMAND, 2), simulated(fitted)[:-1])
 
 
 @needs_compiler
