@@ -65,9 +65,7 @@ def find_plateaus(
     for side in ends:
         level = float(np.max(side * values))
         at = [u & (side * y >= level) for y, u in zip(measured, used, strict=True)]
-        if _stands_apart(measured, used, at):
-            continue
-        p = max(_ties(side * values), TINY)
+        p = 1.0 if _stands_apart(measured, used, at) else max(_ties(side * values), TINY)
         beyond = np.concatenate([side * y[m] - level for y, m in zip(simulated, at, strict=True)])
         if p >= alpha or not np.all(np.isfinite(beyond)):
             continue

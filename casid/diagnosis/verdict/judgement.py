@@ -141,10 +141,8 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
-        sentence=verdict_sentence(verdict, causes, part, why_undecided, problem, disturbances)
-        + (
-            f" Nothing else was tested: {start.why_undecided}."
-            * bool(causes and start.why_undecided)
+        sentence=verdict_sentence(
+            verdict, causes, part, why_undecided, problem, disturbances, start.why_undecided
         ),
         why_undecided=why_undecided,
         causes=tuple(causes),

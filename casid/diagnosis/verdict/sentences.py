@@ -203,6 +203,7 @@ def verdict_sentence(
     why_undecided: str,
     problem: Problem,
     disturbances: Sequence[Disturbance] = (),
+    why_untested: str = "",
 ) -> str:
     """The diagnosis in one or two sentences."""
     if verdict == "undecided":
@@ -218,7 +219,8 @@ def verdict_sentence(
     what = "it" if len(causes) == 1 else "them"
     if not all(c.parameters for c in causes):
         what = "the named causes"
-    return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}"
+    untested = f" Nothing else was tested: {why_untested}." if why_untested else ""
+    return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}{untested}"
 
 
 def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) -> str:

@@ -96,7 +96,7 @@ void steps(long long count, long long substeps, double *state, const double *u,
       arg[0] = half; arg[4] = parts[2]; res[0] = next;
       res[2] = out + k * %(row)d + %(n_out)d;
       %(name)s(arg, res, 0, numbers, 0);
-      for (j = 0; j < %(nx)d; ++j)
+      for (j = 0; j < %(n_state)d; ++j)
         is_easy = is_easy
           && fabs(next[j] - once[j]) <= easy * fmax(fabs(state[j]), fabs(next[j]));
       arg[0] = state; arg[4] = within;

@@ -11,8 +11,8 @@ from casid.arrays import Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, UnitError
-from casid.estimation.rounding import rounding_of
 from casid.estimation.simulation.input_gaps import filled, recorded_inputs, require_short_gaps
+from casid.estimation.simulation.rounding import rounding_of
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si
 

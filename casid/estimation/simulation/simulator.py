@@ -21,6 +21,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.simulation.stepping import Step, Stepping, StepSymbols
+from casid.estimation.simulation.thresholds import STEPS
 from casid.model.declarations import Stage
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
@@ -149,7 +150,8 @@ class Simulator:
         felt = _felt(e, pinned or {})
         self._felt = [i for i, name in enumerate(e.states) if name in felt]
         banded = tuple(list(model.inputs).index(name) for name in band_limited(model))
-        self._stepping = Stepping(self.nu, banded, substeps, may_be_easy=True)
+        easy = STEPS.easy if substeps >= STEPS.many else 0.0
+        self._stepping = Stepping(self.nu, banded, substeps, easy=easy)
         within = ca.SX.sym("within", 3 * (1 + len(banded)))
         u_next = ca.SX.sym("u_next", self.nu)
         symbols = StepSymbols(self.nx, banded, e.u, u_next, e.p, within)

@@ -12,11 +12,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.simulation.band_limited import between_samples
 from casid.estimation.simulation.machine_code import MachineCode
-from casid.estimation.simulation.thresholds import STEPS
 from casid.time_limit import require_time
-
-EASY_PARTS = (0.0, 0.5, 1.0), (0.0, 0.25, 0.5), (0.5, 0.75, 1.0)
-"""Shares of a sample at which one step, and two that are to agree with it, have their ends."""
 
 BLOCK = 200
 """Samples that one mapped CasADi function steps through."""
@@ -83,17 +79,17 @@ class Step:
             self._block = (n, *self._function.mapaccum("block", n, _NESTED).buffer())
         return self._block
 
-    def easy_block(self, n: int, substeps: int) -> tuple[int, Any, Any]:
+    def easy_block(self, n: int, substeps: int, easy: float) -> tuple[int, Any, Any]:
         """The same of whole samples, of two steps where these are exact, of `substeps` elsewhere.
 
         It takes state, inputs, inputs a sample later and parameters.
         """
         if self._easy_block is None or self._easy_block[0] < n or self._easy_block[1] != substeps:
-            sample = self._sample(substeps)
+            sample = self._sample(substeps, easy)
             self._easy_block = (n, substeps, *sample.mapaccum("block", n, _NESTED).buffer())
         return self._easy_block[0], *self._easy_block[2:]
 
-    def _sample(self, substeps: int) -> Any:
+    def _sample(self, substeps: int, easy: float) -> Any:
         """One sample as a function; the machine code takes the same steps in the same order."""
         step = self._function
         given = [ca.MX.sym(step.name_in(i), step.numel_in(i)) for i in range(4)]
@@ -104,15 +100,16 @@ class Step:
         ends, _, lates = run(state, *repeated, ca.DM(_triples(shares)).T)
         nothing = [ca.MX.sym("next", self.n_state), ca.MX.sym("late", self.n_late)]
         steps = ca.Function("steps", [*given, *nothing], [ends[:, -1], lates[:, -1]])
-        once, out, _ = step(*given, EASY_PARTS[0])
-        half, _, _ = step(*given, EASY_PARTS[1])
-        twice, _, late = step(half, *given[1:], EASY_PARTS[2])
+        whole = np.arange(3) / 2  # shares of the sample: beginning, middle and end of one step
+        once, out, _ = step(*given, whole)
+        half, _, _ = step(*given, whole / 2)
+        twice, _, late = step(half, *given[1:], (1 + whole) / 2)
         two = ca.Function("two", [*given, *nothing], nothing)
-        before, after = state[: self.kept], twice[: self.kept]
-        size = ca.fmax(ca.fabs(before), ca.fabs(after))
-        is_exact = ca.fabs(after - once[: self.kept]) <= STEPS.easy * size
+        # Sensitivities too: at rest a step that is far too long leaves the states where they are.
+        size = ca.fmax(ca.fabs(state), ca.fabs(twice))
+        is_exact = ca.fabs(twice - once) <= easy * size
         chosen = ca.Function.if_else("chosen", two, steps)
-        end, late = chosen(ca.sum1(is_exact) == self.kept, *given, twice, late)
+        end, late = chosen(ca.sum1(is_exact) == self.n_state, *given, twice, late)
         return ca.Function("sample", given, [end, out, late])
 
 
@@ -124,16 +121,17 @@ class Stepping:
     columns : of the inputs, those of `u` and `u_next` of a step.
     banded : which of them are band-limited between samples.
     substeps : steps a sample.
-    may_be_easy : whether two steps will do for a sample where one step ends at the same state: dry
-        friction needs many of them where it reverses, and nowhere else.
+    easy : the share of the state to which one step of a sample and two of half of it agree where
+        the two are taken in the place of all; 0: nowhere. Dry friction needs many steps where it
+        reverses, and nowhere else.
     """
 
     def __init__(
-        self, columns: int, banded: Sequence[int], substeps: int, *, may_be_easy: bool = False
+        self, columns: int, banded: Sequence[int], substeps: int, *, easy: float = 0.0
     ) -> None:
         self.columns, self.banded, self.substeps = columns, tuple(banded), substeps
         self._shares = np.arange(2 * substeps + 1) / (2 * substeps)
-        self._easy = STEPS.easy if may_be_easy and substeps >= STEPS.many and not banded else 0.0
+        self._easy = 0.0 if banded else easy
 
     def with_courses(self, u: Array) -> Array:
         """Inputs (N, columns) of a whole record, beside them the courses of band-limited ones.
@@ -173,7 +171,7 @@ class Stepping:
         fine = 1 if self._easy else self.substeps
         wanted = min(max(BLOCK // fine, 1), max(len(u), 1)) * fine
         size, buffer, trigger = (
-            step.easy_block(wanted, self.substeps) if self._easy else step.block(wanted)
+            step.easy_block(wanted, self.substeps, self._easy) if self._easy else step.block(wanted)
         )
         samples = size // fine
         inside = np.empty((size, n_state))

@@ -77,7 +77,7 @@ class Steps:
         6, "steps a sample, at least, where two are tried first: they and one cost three", _FIT
     )
     easy: float = _is(
-        1e-8,
+        1e-10,
         "of each state, to which one step of a sample and two of half of it agree where the two "
         "are taken: the two are then exact to a fifteenth of it (Richardson)",
         _FIT,
@@ -172,7 +172,7 @@ class InputAnswers:
 
 
 @dataclass(frozen=True, slots=True)
-class Rounded:
+class Readings:
     """When a measured input that repeats its readings is one that is rounded; see `rounding.py`."""
 
     repeated: float = _is(0.5, "of the samples, above which a channel is no noisy one", _ROUNDING)
@@ -194,7 +194,7 @@ INSTABILITY = Instability()
 MEASURED_STATES = MeasuredStates()
 TANGENTS = Tangents()
 INPUT_ANSWERS = InputAnswers()
-ROUNDED = Rounded()
+READINGS = Readings()
 
 GROUPS = (
     RECORD_AGREEMENT,
@@ -206,7 +206,7 @@ GROUPS = (
     MEASURED_STATES,
     TANGENTS,
     INPUT_ANSWERS,
-    ROUNDED,
+    READINGS,
 )
 
 TABLE = entries(*GROUPS)

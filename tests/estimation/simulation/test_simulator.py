@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 import casid
-from casid.estimation.simulation import stepping
+from casid.estimation.simulation import simulator
 from casid.estimation.simulation.simulator import Simulator
 from casid.estimation.simulation.thresholds import STEPS
 
@@ -171,7 +171,7 @@ def test_fine_steps_where_friction_reverses_are_as_good_as_fine_steps_everywhere
     """Two steps and one agree to e where the two err by e / 15 (Richardson), of every sample."""
     chosen = Simulator(dragged(), 0.005, ["F_c"], substeps=32)
     run = chosen.sensitivities(STICK_SLIP, np.array([10.0]), np.zeros(2))
-    monkeypatch.setattr(stepping, "STEPS", replace(STEPS, many=1000))
+    monkeypatch.setattr(simulator, "STEPS", replace(STEPS, many=1000))
     everywhere = Simulator(dragged(), 0.005, ["F_c"], substeps=32)
     fine = everywhere.sensitivities(STICK_SLIP, np.array([10.0]), np.zeros(2))
     resting = np.abs(fine.x[:-1, 1]) < V_0

@@ -11,7 +11,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.channel_quality import quantisation_step
-from casid.estimation.simulation.thresholds import ROUNDED
+from casid.estimation.simulation.thresholds import READINGS
 
 
 def rounding_of(values: Array) -> float:
@@ -21,10 +21,10 @@ def rounding_of(values: Array) -> float:
     """
     moves = np.abs(np.diff(values))
     moved = moves[moves > 0.0]
-    if len(moved) >= (1 - ROUNDED.repeated) * len(moves):
+    if len(moved) >= (1 - READINGS.repeated) * len(moves):
         return 0.0
     step = quantisation_step(values)
-    if step is None or len(np.unique(values)) < ROUNDED.levels:
+    if step is None or len(np.unique(values)) < READINGS.levels:
         return 0.0
-    is_single = moved < 1.5 * step
-    return step / float(np.sqrt(12.0)) if is_single.mean() >= ROUNDED.single else 0.0
+    is_single = np.round(moved / step) == 1
+    return step / float(np.sqrt(12.0)) if is_single.mean() >= READINGS.single else 0.0
