@@ -84,14 +84,18 @@ def in_a_sea(folder: Path, rms: float, number: int, **cause: object) -> Path:
     return folder / written.name
 
 
-@pytest.mark.parametrize("rms", [3e-4, 1e-3, 3e-3, 1e-2])
-def test_a_sea_is_no_cause(problem: casid.Problem, tmp_path: Path, rms: float) -> None:
-    """Of 4 at a level of 5 % one is as many as 19 % of all such tests would see by chance."""
-    found = casid.diagnose(problem, [problem.read(in_a_sea(tmp_path, rms, 1))], advise=False)
-    assert found.verdict in ("adequate", "undecided")
-    (sea,) = found.disturbances
-    assert sea.where == "torque"
-    assert rms / 3 < sea.std < 3 * rms  # beside a damping that this record hardly determines
+def test_a_sea_is_no_cause(problem: casid.Problem, tmp_path: Path) -> None:
+    """Of 4 at a level of 5 % one is as many as 19 % of all such tests would see, two 1.4 %."""
+    alarms = 0
+    for rms in (3e-4, 1e-3, 3e-3, 1e-2):
+        found = casid.diagnose(problem, [problem.read(in_a_sea(tmp_path, rms, 1))], advise=False)
+        if found.verdict == "deficient":
+            alarms += 1
+            continue
+        (sea,) = found.disturbances
+        assert sea.where == "torque"
+        assert rms / 3 < sea.std < 3 * rms  # beside a damping that this record hardly determines
+    assert alarms <= 1
 
 
 @pytest.mark.slow
