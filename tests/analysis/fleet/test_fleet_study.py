@@ -88,7 +88,9 @@ def test_a_sea_is_no_cause(problem: casid.Problem, tmp_path: Path) -> None:
     """Of 4 at a level of 5 % one is as many as 19 % of all such tests would see, two 1.4 %."""
     alarms = 0
     for rms in (3e-4, 1e-3, 3e-3, 1e-2):
-        found = casid.diagnose(problem, [problem.read(in_a_sea(tmp_path, rms, 1))], advise=False)
+        folder = tmp_path / str(rms)
+        folder.mkdir()
+        found = casid.diagnose(problem, [problem.read(in_a_sea(folder, rms, 1))], advise=False)
         if found.verdict == "deficient":
             alarms += 1
             continue
