@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, Candidate, extended_by, name_of
-from casid.diagnosis.search.refinement import Adoption, whole_fit
+from casid.diagnosis.search.refinement import Adoption, values_by_new_names, whole_fit
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.diagnosis.thresholds import COMPARISON
@@ -67,12 +67,7 @@ def _in_its_place(
     causes = [a.candidate for a in found.adopted]
     causes[i] = rival
     model, placed = extended_by(start.model, causes)
-    values = dict(fit.values) | {
-        new: c.fit.values[old]
-        for p, c in zip(placed, causes, strict=True)
-        for new, old in zip(p.names, c.names, strict=True)
-        if old in c.fit.values
-    }
+    values = {**fit.values, **values_by_new_names(placed, causes)}
     units = fit.criterion.weights
     other = whole_fit(model, split, settings, units, values)
     before, after = (simulation_errors(f, split, units) for f in (fit, other))

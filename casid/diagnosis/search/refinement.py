@@ -262,7 +262,7 @@ class Refinement:
         """These causes in the model as it is, by their new names, and its fit from `near`."""
         model, placed = extended_by(self.start.model, causes)
         known = {} if near is None else near.values
-        values = {**self.start.fit.values, **known, **_values(placed, causes)}
+        values = {**self.start.fit.values, **known, **values_by_new_names(placed, causes)}
         settings = replace(self.settings, substeps=substeps or self.settings.substeps)
         return placed, whole_fit(model, self.split, settings, self.units, values)
 
@@ -329,7 +329,9 @@ def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:
     return replace(taken, candidate=chosen, rivals=(first, *others), near=near)
 
 
-def _values(placed: Sequence[Candidate], before: Sequence[Candidate]) -> dict[str, float]:
+def values_by_new_names(
+    placed: Sequence[Candidate], before: Sequence[Candidate]
+) -> dict[str, float]:
     """What the parameters of effects were found to be, by their new names."""
     return {
         new: c.fit.values[old]

@@ -78,11 +78,7 @@ def dead_time(model: Model, channel: str, longest: float) -> Effect:
         If the input is not recorded, stands in for an unknown one, or acts late already.
     """
     entry = model.inputs[channel]
-    if channel not in commands_of(model):
-        raise ModelError(
-            f"{model.name}: {channel} is no recorded command (it is {entry.kind}, or was an output "
-            "before an elimination); request time_delay of such a channel"
-        )
+    require_command(model, channel, instead="time_delay")
     if is_late(model, channel):
         raise ModelError(
             f"{model.name}: the input {channel} acts late already; extend the model before that "
@@ -117,6 +113,21 @@ def commands_of(model: Model) -> list[str]:
     """Recorded inputs that no elimination made of an output."""
     gone = {m.output for m in model._measured}
     return [n for n, u in model.inputs.items() if u.kind in ("measured", "known") and n not in gone]
+
+
+def require_command(model: Model, channel: str, *, instead: str) -> None:
+    """Refuse an input that is no recorded command, with the effect to request `instead`.
+
+    Raises
+    ------
+    ModelError
+        If the input is not recorded, or stands in for an unknown one.
+    """
+    if channel not in commands_of(model):
+        raise ModelError(
+            f"{model.name}: {channel} is no recorded command (it is {model.inputs[channel].kind}, "
+            f"or was an output before an elimination); request {instead} of such a channel"
+        )
 
 
 def dead_times_of(model: Model, sizes: Sizes) -> list[Effect]:

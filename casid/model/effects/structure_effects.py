@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.model.declarations import Parameter, Stage
-from casid.model.effects.channel_effects import carry, commands_of, is_lagging
+from casid.model.effects.channel_effects import carry, commands_of, is_lagging, require_command
 from casid.model.effects.effect import Effect, Sizes, known_while_null
 from casid.model.effects.search_ranges import MISSING_MODES, RANGES
 from casid.model.model import Model
@@ -29,12 +29,7 @@ def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
     ModelError
         If the input is not recorded, stands in for an unknown one, or lags already.
     """
-    entry = model.inputs[channel]
-    if entry.kind not in ("measured", "known") or channel not in commands_of(model):
-        raise ModelError(
-            f"{model.name}: {channel} is no recorded command (it is {entry.kind}, or was an output "
-            "before an elimination); request sensor_lag of such a channel"
-        )
+    require_command(model, channel, instead="sensor_lag")
     if is_lagging(model, channel):
         raise ModelError(
             f"{model.name}: the command {channel} acts through a lag already; extend the model "
