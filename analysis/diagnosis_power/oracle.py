@@ -34,7 +34,7 @@ def oracles(problem: casid.Problem, hidden: Hidden) -> Row:
     effects = _candidates(problem, fit, hidden)
     model, columns_of = problem.model, []
     for c in effects:
-        model, own = c.extended(model, upper=0.0 if c.kind == "missing_mode" else None)
+        model, own = c.extended(model, upper=0.0 if c.has_states else None)
         columns_of.append(own[: 2 if c.kind == "periodic_disturbance" else 1])
     wide = widened(fit, model)
     residual, columns = wide.columns(wide.start, 0)

@@ -83,7 +83,7 @@ _SEPARATES = {
     "hold": "excitation near a third of the sampling rate, or a look at whether the input is held, "
     "as a command is, or smooth, as a measured signal is",
     "actuator_lag": "fast steps of the command, with the actuator's own position recorded",
-    "missing_mode": "a slow sweep across the frequency found, or the part locked",
+    "missing_mode": "a step and a long rest after it, in which that part moves alone",
     "saturation": "a record at half the amplitude",
     "outliers": "a check of the logger: cable, range, radio link",
 }
@@ -144,6 +144,8 @@ def says(effect: Effect, column: str = "") -> str:
         on = f"in the {effect.shape} balance" if effect.shape else "on the system"
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
     if effect.kind in ("offset", "sensor_bias") and effect.is_on_the_clock:
+        return effect.description
+    if effect.kind == "missing_mode" and effect.description:
         return effect.description
     if effect.kind == "time_delay" and effect.description:
         return f"the input {effect.where} {effect.description}"

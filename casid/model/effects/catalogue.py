@@ -32,6 +32,7 @@ from casid.model.effects.flow_laws import flow_law, is_positive, power_law, stat
 from casid.model.effects.friction_effects import (
     asymmetric_coulomb,
     asymmetric_damping,
+    hysteresis,
     stribeck_friction,
 )
 from casid.model.effects.parameter_effects import (
@@ -45,7 +46,13 @@ from casid.model.effects.parameter_effects import (
 )
 from casid.model.effects.place import Place
 from casid.model.effects.places import places_of
-from casid.model.effects.search_ranges import CONTACT_RANGES, FRICTION_RANGES, RANGES, SMOOTHING
+from casid.model.effects.search_ranges import (
+    CONTACT_RANGES,
+    FRICTION_RANGES,
+    HYSTERESIS,
+    RANGES,
+    SMOOTHING,
+)
 from casid.model.effects.sensor_effects import sensor_effects_of
 from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
 from casid.model.effects.unnamed_effects import (
@@ -144,6 +151,8 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
         found.append(deadzone(model, place, width, motion.largest))
         if place.is_mechanical:
             found.append(backlash(model, place, width, motion.largest))
+            reach = max(0.5 * (motion.high - motion.low), 1e-12)
+            found += [hysteresis(model, place, share * reach, reach) for share in HYSTERESIS.starts]
     found += _stops_at(model, place, sizes)
     effects += [e for e in found if e is not None]
     # The square and the root of what keeps its sign are a power law, or a tangent and a constant.

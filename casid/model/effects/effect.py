@@ -44,6 +44,9 @@ Extended from a start other than 0 the parameter is 1, and not estimated.
 OF_SAMPLES = ("outliers", "saturation")
 """Kinds that spoil samples, and leave the rest of the record as it is."""
 
+HYSTERESIS_SHAPE = "hysteresis"
+"""Of a force that depends on the motion before, which no kind names."""
+
 
 @dataclass(frozen=True, slots=True)
 class Spread:
@@ -90,6 +93,11 @@ class Effect:
     description: str = ""
     constants: Mapping[str, float] = field(default_factory=dict)
     declared_units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def has_states(self) -> bool:
+        """True of what moves on its own; its states do nothing while it is null."""
+        return self.kind == "missing_mode" or self.shape == HYSTERESIS_SHAPE
 
     @property
     def sets_in(self) -> bool:
@@ -235,15 +243,18 @@ def known_while_null(model: Model, names: Sequence[str]) -> None:
             model.parameters[name] = replace(p, value=p.start)
 
 
-_PINNED = {"time_delay", "sensor_lag", "missing_mode"}
-"""Kinds whose first parameter is held at its null value while many are tested: no sample is lost to
-a delay's run-in, and states that nothing feels yet need no sensitivities."""
+_LATE = ("time_delay", "sensor_lag")
 
 
 def extend_all(model: Model, effects: Sequence[Effect]) -> tuple[Model, list[Any]]:
-    """A model with many effects at their null values, and each effect's first parameter name."""
+    """A model with many effects at their null values, and each effect's first parameter name.
+
+    The first parameter is held at null where that spares work: no sample is lost to a delay's
+    run-in, and states that nothing feels yet need no sensitivities.
+    """
     new, names = model, []
     for effect in effects:
-        new, own = effect.extended(new, upper=0.0 if effect.kind in _PINNED else None)
+        is_pinned = effect.has_states or effect.kind in _LATE
+        new, own = effect.extended(new, upper=0.0 if is_pinned else None)
         names.append(own[0])
     return new, names

@@ -1,4 +1,4 @@
-"""Friction beyond Coulomb's: other in each direction, or larger as the motion begins."""
+"""Friction beyond Coulomb's: other in each direction, larger at rest, or with a memory."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import casadi as ca
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
-from casid.model.effects.effect import Effect, known_while_null
-from casid.model.effects.place import Place
+from casid.model.effects.effect import HYSTERESIS_SHAPE, Effect, known_while_null
+from casid.model.effects.place import Place, in_symbols_of
 from casid.model.effects.places import place_named
-from casid.model.effects.search_ranges import FRICTION_RANGES
+from casid.model.effects.search_ranges import FRICTION_RANGES, HYSTERESIS
 from casid.model.model import Model
 
 
@@ -85,4 +85,62 @@ def stribeck_friction(
         cost=len(parameters),
         description=place.words,
         constants={"speed": speed},
+    )
+
+
+def hysteresis(model: Model, where: str | Place, travel: float, reach: float) -> Effect | None:
+    """-F_h z with a memory z of the motion before, as rubber, wire rope and preloaded joints have.
+
+        z' = (v - b |v| |z|^(n-1) z - (1 - b) v |z|^n) / x_h,    |z| <= 1                      (1)
+
+    Bouc and Wen's equation; with b = 1 and n = 1 it is Dahl's friction. Where the motion
+    turns, the force is a spring F_h / x_h; beyond a few x_h it is dry friction F_h. Its memory when
+    the record begins is estimated. Without F_h nothing shows x_h, b and n, which are then known.
+
+    Parameters
+    ----------
+    travel : x_h that the search starts from (position's SI unit).
+    reach : half the range of the position, which bounds x_h.
+
+    None for places without a position and its rate.
+
+    Source
+    ------
+    Ismail, Ikhouane, Rodellar (2009), The hysteresis Bouc-Wen model, a survey, eq. (3).
+    """
+    place = place_named(model, where)
+    if place.position is None or place.velocity is None:
+        return None
+    lower, upper = (share * reach for share in HYSTERESIS.travel)
+    (least, most), (blunt, sharp) = HYSTERESIS.shape, HYSTERESIS.exponent
+    parameters = (
+        Parameter("F_h", place.unit, 0.0, lower=0.0),
+        Parameter("x_h", place.position_unit, travel, lower=lower, upper=upper),
+        Parameter("b_h", "1", HYSTERESIS.start, lower=least, upper=most),
+        Parameter("n_h", "1", blunt, lower=blunt, upper=sharp),
+    )
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        F_h, x_h, b, n = (new.symbol(n) for n in names)
+        v = in_symbols_of(new, place.velocity)
+        is_null = new.parameters[names[0]].start == 0.0
+        at_rest = 0.0 if is_null else None
+        z = new.state(new.free_name("z_h"), "1", initial=at_rest, lower=-1.0, upper=1.0)
+        before = (z**2 + HYSTERESIS.rounding) ** (0.5 * (n - 1)) * z  # |z|^(n - 1) z
+        along, against = v * ca.sign(z) * before, ca.fabs(v) * before
+        new.derivative(z, (v - b * against - (1 - b) * along) / x_h)
+        place.add(new, -F_h * z)
+        known_while_null(new, names)
+
+    return Effect(
+        "unknown",
+        place.where,
+        parameters,
+        apply,
+        sided="positive",
+        variant=travel,
+        cost=HYSTERESIS.cost,
+        shape=HYSTERESIS_SHAPE,
+        description=f"hysteresis along {place.position_name} (Bouc-Wen), a force that depends on "
+        "the motion before",
     )

@@ -18,7 +18,7 @@ _NAMES = {
     "cogging": "cogging in {place}",
     "offset": "constant term in {place}",
     "periodic_disturbance": "periodic disturbance in {place}",
-    "missing_mode": "unmodelled oscillation in {place}",
+    "missing_mode": "unmodelled mode in {place}",
     "parameter_drift": "drift of {where}",
     "parameter_jump": "jump of {where}",
     "scheduled_parameter": "change of {own} with {source}",

@@ -71,7 +71,7 @@ class Place:
     def add(self, model: Model, force: Expr) -> None:
         """Add a force to every equation that it enters (used by effects on their own copy)."""
         for row, factor in self.shares:
-            given = _in_symbols_of(model, factor * force)
+            given = in_symbols_of(model, factor * force)
             if row in model.balances:
                 model.add_term(row, given)
             else:
@@ -106,7 +106,7 @@ def balance_place(model: Model, balance: str) -> Place:
     )
 
 
-def _in_symbols_of(model: Model, expression: Expr) -> Expr:
+def in_symbols_of(model: Model, expression: Expr) -> Expr:
     """An expression in the symbols that a model has for the same names."""
     symbols = ca.symvar(ca.SX(expression))
     own = [model.symbol(s.name()) for s in symbols]

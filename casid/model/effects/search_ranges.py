@@ -79,6 +79,27 @@ class MissingModes:
 
 
 @dataclass(frozen=True, slots=True)
+class MissingStores:
+    """The search for a store that follows another with a time constant."""
+
+    time_constants: int = _is(
+        5, "time constants, evenly in their logarithm, to begin from", _STRUCTURE
+    )
+    shortest: float = _is(4.0, "samples, the shortest of them", _STRUCTURE)
+    longest: float = _is(
+        0.25, "of the window, the longest: what follows more slowly is a drift", _STRUCTURE
+    )
+    widest: float = _is(100.0, "the longest over the shortest without a sample time", _STRUCTURE)
+    lower: float = _is(0.2, "of its start, the shortest time constant of an estimate", _STRUCTURE)
+    upper: float = _is(5.0, "of its start, the longest time constant of an estimate", _STRUCTURE)
+    cost: int = _is(
+        4,
+        "parameters that it costs: a capacity, a level at the beginning, a searched time constant",
+        _STRUCTURE,
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class PeriodicForces:
     """The search for a line in the residual's spectrum."""
 
@@ -123,6 +144,36 @@ class FrictionRanges:
     )
     decay: tuple[float, float] = _is(
         (0.03, 1.0), "of the rms rate, lower and upper bound of the decay speed", _FRICTION
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Hysteresis:
+    """The search for a force with a memory of the motion before."""
+
+    starts: tuple[float, ...] = _is(
+        (0.05, 0.2, 0.7), "of half the range, the travels that the search starts from", _FRICTION
+    )
+    travel: tuple[float, float] = _is(
+        (0.01, 2.0),
+        "of half the range, bounds of the travel: below them it is dry friction, above a spring",
+        _FRICTION,
+    )
+    start: float = _is(0.75, "shape of the loop that the search starts from", _FRICTION)
+    shape: tuple[float, float] = _is(
+        (0.5, 1.5),
+        "bounds of the shape: from 0.5 on, a loop takes energy and gives none",
+        _FRICTION,
+        "Ismail, Ikhouane, Rodellar 2009",
+    )
+    exponent: tuple[float, float] = _is(
+        (1.0, 6.0), "bounds of the exponent, a soft loop to one with corners", _FRICTION
+    )
+    rounding: float = _is(1e-8, "square of the memory below which its power is rounded", _FRICTION)
+    cost: int = _is(
+        6,
+        "parameters that it costs: a force, a memory at the beginning, four of the loop",
+        _FRICTION,
     )
 
 
@@ -210,9 +261,11 @@ class UnnamedEffects:
 PARAMETER_JUMPS = ParameterJumps()
 SATURATIONS = Saturations()
 MISSING_MODES = MissingModes()
+MISSING_STORES = MissingStores()
 PERIODIC_FORCES = PeriodicForces()
 SMOOTHING = Smoothing()
 FRICTION_RANGES = FrictionRanges()
+HYSTERESIS = Hysteresis()
 CONTACT_RANGES = ContactRanges()
 ACTUATORS = Actuators()
 RANGES = Ranges()
@@ -222,9 +275,11 @@ GROUPS = (
     PARAMETER_JUMPS,
     SATURATIONS,
     MISSING_MODES,
+    MISSING_STORES,
     PERIODIC_FORCES,
     SMOOTHING,
     FRICTION_RANGES,
+    HYSTERESIS,
     CONTACT_RANGES,
     ACTUATORS,
     RANGES,

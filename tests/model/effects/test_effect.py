@@ -69,7 +69,7 @@ def test_the_catalogue_has_every_kind_in_every_place_that_the_structure_allows()
     torque |= {"cubic_stiffness", "quadratic_stiffness", "deadzone", "end_stop", "offset"}
     wanted = {(kind, "torque") for kind in torque}
     wanted |= {("asymmetric_friction", f"torque: {shape}") for shape in ("dry", "viscous")}
-    shapes = ("p^2", "sqrt|p|", "phi^5", "phi p", "phi^2 p")
+    shapes = ("p^2", "sqrt|p|", "phi^5", "phi p", "phi^2 p", "hysteresis")
     wanted |= {("unknown", f"torque: {shape}") for shape in shapes}
     wanted |= {("extra_input", "ref"), ("extra_input", "speed")}
     wanted |= {("offset", "torque: step")}

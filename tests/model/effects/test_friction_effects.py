@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -14,6 +15,7 @@ from casid.model.effects.balance_effects import cubic_damping, quadratic_stiffne
 from casid.model.effects.friction_effects import (
     asymmetric_coulomb,
     asymmetric_damping,
+    hysteresis,
     stribeck_friction,
 )
 
@@ -83,3 +85,47 @@ def test_the_decay_speed_is_known_while_nothing_shows_it_and_estimated_after():
     assert null.parameters[names[1]].is_known
     begun, _ = effect.extended(oscillator(), starts={"F_s": 0.2})
     assert not begun.parameters[names[1]].is_known
+
+
+@pytest.mark.parametrize(("b", "n"), [(1.0, 1.0), (0.5, 2.0)])
+def test_a_force_with_a_memory_moves_the_body_as_bouc_and_wen_write_it(b: float, n: float):
+    """Dahl's friction and a loop with sharper corners, against LSODA's adaptive steps."""
+    F, travel, N = 1.0, 0.02, 600
+    effect = hysteresis(oscillator(), "force", 0.05, 0.1)
+    start = {"F_h": F, "x_h": travel, "b_h": b, "n_h": n}
+    model, names = effect.extended(oscillator(), starts=start)
+    model.states["z_h"] = dataclasses.replace(model.states["z_h"], initial=0.0)
+    record = casid.Record({"position": np.zeros(N)}, {"position": "m"}, Ts=Ts)
+    known = model.with_known(**dict(zip(names, (F, travel, b, n), strict=True)))
+    criterion = SimulationError(known, [casid.Experiment(record, {}, "r")], weights=np.ones(1))
+    y = criterion.simulate(criterion.start, 0)[0][:, 0]
+
+    def rates(_t, s):
+        x, v, z = s
+        loop = b * abs(v) * abs(z) ** (n - 1) * z + (1 - b) * v * abs(z) ** n
+        return [v, (-K * x - F * z) / M, (v - loop) / travel]
+
+    t = np.arange(N) * Ts
+    solved = solve_ivp(
+        rates, (0, t[-1]), [0.1, 0, 0], t_eval=t, rtol=1e-9, atol=1e-12, max_step=Ts, method="LSODA"
+    )
+    assert y == pytest.approx(solved.y[0], abs=2e-5)
+    assert np.max(np.abs(solved.y[0] - 0.1 * np.cos(5.0 * t))) > 0.01
+
+
+def test_a_memory_does_nothing_and_is_empty_without_its_force():
+    model, names = hysteresis(oscillator(), "force", 0.05, 0.1).extended(oscillator())
+    assert [model.parameters[n].is_known for n in names] == [False, True, True, True]
+    assert model.states["z_h"].initial == 0.0
+    there, _ = hysteresis(oscillator(), "force", 0.05, 0.1).extended(
+        oscillator(), starts={"F_h": 1.0}
+    )
+    assert there.states["z_h"].initial is None
+
+
+def test_a_rate_without_a_position_has_no_hysteresis():
+    m = casid.Model("shaft")
+    w = m.state("w", "rad/s")
+    m.balance(w, "torque", inertia=1.0, terms=[-m.parameter("d", "N m s/rad") * w])
+    m.output("speed", w, "rad/s")
+    assert hysteresis(m, "torque", 0.1, 1.0) is None

@@ -1,4 +1,4 @@
-"""Actuators lag as their equation says; a part that swings along acts back with its inertia."""
+"""Actuators lag as their equation says; a part that moves along acts back with its inertia."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from casid.estimation.simulation.sample_lines import lines_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.effects.effect import Sizes
-from casid.model.effects.search_ranges import MISSING_MODES
+from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES
 from casid.model.effects.structure_effects import (
     actuator_lag,
     missing_mode,
     missing_modes_of,
+    missing_store,
     mode_frequencies,
     structure_effects_of,
+    time_constants,
 )
 from problems import pendulum
 
@@ -229,14 +231,6 @@ def test_pinned_at_zero_a_mode_costs_no_sensitivities_and_its_own_stays_exact():
 
 
 def test_modes_are_sought_in_balances_of_inertia_from_slow_to_fast():
-    tanks = casid.Model("tank")
-    h = tanks.state("h", "m")
-    tanks.balance(
-        h, "volume", inertia=1.0, terms=[-tanks.parameter("c", "m^2/s") * h], unit="m^3/s"
-    )
-    tanks.output("level", h, "m")
-    sizes = Sizes({"h": 1.0}, {}, (0.0, 60.0), 0.1)
-    assert missing_modes_of(tanks, sizes) == []
     found = missing_modes_of(oscillator(), SIZES, TS)
     assert len(found) == MISSING_MODES.frequencies
     assert len({e.key for e in found}) == 1
@@ -286,3 +280,102 @@ def test_a_short_lag_of_a_held_input_is_near_no_lag_and_has_its_derivative(tau: 
     assert (above - line) / step == pytest.approx(change, abs=1e-4)
     if tau == 0.0:
         assert line == pytest.approx(np.stack([steps] * 3, axis=1), abs=1e-12)
+
+
+# -- stores ---------------------------------------------------------------------------------------
+
+HEAT = np.where((np.arange(N) // 50) % 2, 300.0, 0.0)
+C1, C2, G, H = 40.0, 90.0, 8.0, 15.0  # J/K, J/K, W/K to the outside, W/K between both
+
+
+def oven(unit: str = "J/K") -> casid.Model:
+    m = casid.Model("oven")
+    T = m.state("T", "K")
+    P = m.input("P", "W", hold="zoh", known=True)
+    C = m.parameter("C", unit, start=C1 if unit == "J/K" else C1 / 1000)
+    m.balance(T, "heat", inertia=C, terms=[-m.parameter("G", "W/K", start=G) * T, P])
+    m.output("temperature", T, "K")
+    return m
+
+
+def heated(behind: float = 0.0) -> np.ndarray:
+    """Two masses that exchange heat, the second one `behind` [K] cooler at first, by scipy."""
+
+    def rate(_t, z, P):
+        T, S = z
+        return [(P - G * T - H * (T - S)) / C1, H * (T - S) / C2]
+
+    z, out = np.array([0.0, -behind]), np.empty(N)
+    for i, P in enumerate(HEAT):
+        out[i] = z[0]
+        z = solve_ivp(rate, (0, TS_HEAT), z, args=(P,), rtol=1e-10, atol=1e-10).y[:, -1]
+    return out
+
+
+TS_HEAT = 0.1
+HEATED = Sizes({"T": 10.0}, {}, (0.0, N * TS_HEAT), 0.1)
+
+
+def oven_criterion(model, y) -> SimulationError:
+    record = casid.Record({"P": HEAT, "temperature": y}, {"P": "W", "temperature": "K"}, Ts=TS_HEAT)
+    return SimulationError(model, [casid.Experiment(record, {}, "r")], weights=np.ones(1))
+
+
+def test_a_store_behind_another_moves_it_as_two_masses_that_exchange_heat_do():
+    m = oven()
+    model = missing_store(m, "heat", 3.0).extend(m, starts={"C_m": C2, "tau_m": C2 / H})
+    found = oven_criterion(model, np.zeros(N))
+    y = found.simulate(at(found), 0)[0][:, 0]
+    exact = heated()
+    assert np.abs(y - exact).max() < 1e-6 * np.abs(exact).max()
+    alone = oven_criterion(m, np.zeros(N))
+    assert np.abs(alone.simulate(at(alone), 0)[0][:, 0] - exact).max() > 0.1 * exact.max()
+
+
+@pytest.mark.parametrize("behind", [0.0, 6.0])
+def test_a_refit_finds_capacity_and_time_constant_of_a_store_wherever_it_began(behind: float):
+    sd = 0.02
+    y = heated(behind) + sd * np.random.default_rng(3).standard_normal(N)
+    m = oven()
+    model = missing_store(m, "heat", 3.0).extend(m, starts={"C_m": 30.0})
+    fit = minimize_simulation_error(oven_criterion(model, y))
+    errors = sd * np.sqrt(np.diag(np.linalg.inv(fit.solution.hessian)))
+    truth = {"C": C1, "G": G, "C_m": C2, "tau_m": C2 / H, "r_m(0)": behind}
+    for name, true in truth.items():
+        i = fit.criterion.names.index(name)
+        assert abs(fit.x[i] - true) < 3 * errors[i], name
+
+
+def test_without_capacity_a_store_is_not_there_and_starts_level():
+    m = oven()
+    model, names = missing_store(m, "heat", 3.0).extended(m)
+    assert [model.parameters[n].is_known for n in names] == [False, True]
+    assert model.states["r_m"].initial == 0.0
+    there = missing_store(m, "heat", 3.0).extend(m, starts={"C_m": 1.0})
+    assert there.states["r_m"].initial is None
+    both = [oven_criterion(x, np.zeros(N)) for x in (m, model)]
+    y, y_null = (c.simulate(at(c), 0)[0] for c in both)
+    assert y_null == pytest.approx(y, abs=1e-12)
+
+
+def test_a_store_is_shown_in_the_unit_of_the_one_that_it_follows():
+    m = oven("kJ/K")
+    model, (name, _) = missing_store(m, "heat", 3.0).extended(m)
+    assert model.declared_units[name] == "kJ/K"
+    assert missing_store(oven(), "heat", 3.0).parameters[0].unit == m.parameters["C"].unit
+
+
+def test_stores_are_sought_in_balances_without_a_position_from_samples_to_a_share_of_the_record():
+    m = oven()
+    found = missing_modes_of(m, HEATED, TS_HEAT)
+    assert len(found) == MISSING_STORES.time_constants
+    assert {e.key for e in found} == {("missing_mode", "heat")}
+    times = time_constants(HEATED, TS_HEAT)
+    assert times[0] == pytest.approx(4 * TS_HEAT)
+    assert times[-1] == pytest.approx(0.25 * N * TS_HEAT)
+    assert time_constants(Sizes({}, {}, (0.0, 1.0), 0.1), 0.1) == []
+    shaft = casid.Model("shaft")
+    w = shaft.state("w", "rad/s")
+    shaft.balance(w, "torque", inertia=1.0, terms=[-shaft.parameter("d", "N m s/rad") * w])
+    shaft.output("speed", w, "rad/s")
+    assert missing_modes_of(shaft, Sizes({"w": 1.0}, {}, (0.0, 60.0), 0.1), 0.1) == []
