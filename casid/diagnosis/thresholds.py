@@ -328,6 +328,12 @@ class Residual:
         _RESIDUAL,
     )
     functions: int = _is(3, "functions that this share is taken of, at most", _RESIDUAL)
+    rare: float = _is(
+        0.05,
+        "of the samples, with the other sign: with fewer the sign counts as constant, as a few "
+        "neighbouring samples, which share their noise, show no dependence",
+        f"{TESTS}/evidence/test_candidate_functions.py",
+    )
     by_chance: float = _is(2.0, "times what chance gives, for each after the first", _RESIDUAL)
     held_out_chance: float = _is(
         1e-3,

@@ -49,6 +49,7 @@ class NoiseModel:
     spectra: Mapping[str, DisturbanceSpectrum] = field(default_factory=dict)  # of forces not white
     misfit: float = float("nan")  # minus Whittle's log-likelihood of the residual it is found from
     used: Sequence[BoolArray] = ()  # (N, ny) an experiment, where samples are missing
+    known: Mapping[str, float] = field(default_factory=dict)  # channel -> noise that was stated
     _innovations: dict[tuple[int, int], Innovations] = field(
         default_factory=dict, init=False, repr=False
     )
@@ -310,6 +311,7 @@ def estimate_noise(
         covariance=_covariance(spectra, value, names, sought),
         misfit=whittle(spectra, value),
         used=() if all(mask.all() for mask in used) else used,
+        known=known,
     )
 
 

@@ -16,6 +16,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import TIME, Group, Linearised, Regression, Table
+from casid.diagnosis.thresholds import RESIDUAL
 
 
 def regressions(
@@ -75,7 +76,7 @@ def functions_of(
         ("{0}^2", lambda v: v**2),
         ("{0} |{0}|", lambda v: v * np.abs(v)),
         ("{0}^3", lambda v: v**3),
-        ("sign({0})", np.sign),
+        ("sign({0})", _sign),
     ]
     out = []
     own = [*states, *inputs]
@@ -93,6 +94,13 @@ def functions_of(
         out.append((f"|{a}| {b}", _product((a, b), lambda f, g: np.abs(f) * g)))
         out.append((f"{a} |{b}|", _product((a, b), lambda f, g: f * np.abs(g))))
     return out
+
+
+def _sign(of: Array) -> Array:
+    """The sign; the one that nearly all samples have, where the other is `RESIDUAL.rare`."""
+    sign = np.sign(of)
+    most = 1.0 if np.sum(sign) >= 0.0 else -1.0
+    return np.where(np.mean(sign != most) < RESIDUAL.rare, most, sign)
 
 
 def _growing(time: Array, of: Array) -> Array:

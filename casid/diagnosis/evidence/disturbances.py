@@ -7,18 +7,20 @@ still be adequate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from casid.arrays import TINY
 from casid.data.files import plain_fields
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
 from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, difference_to_si, same_dimension
 
@@ -114,12 +116,18 @@ def _period_text(peak: float, width: float) -> str:
     return f" (a period of {quantity_text(1 / peak, 's')}{day})"
 
 
-def disturbances_of(at: Weighted) -> tuple[Disturbance, ...]:
+def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
     """The disturbances in the noise found at a fit, the one with the largest share first.
 
-    Those that make less than `JUDGING.practical` of the residual are left out.
+    Those that make less than `JUDGING.practical` of the residual are left out, and those that
+    noise alone may seem to be.
+
+    Parameters
+    ----------
+    level : at which they are tested, all together.
     """
     noise = at.full
+    level = level / max(len(noise.alike), 1)
     total = _residual_power(at)
 
     found: dict[str, list[tuple[float, float, DisturbanceSpectrum | None]]] = {}
@@ -133,7 +141,7 @@ def disturbances_of(at: Weighted) -> tuple[Disturbance, ...]:
         is_beside = where != group[0] and where in noise.spectra
         unit_power = _power_of(at, where, is_white=is_beside)
         share = (carried - measured) / total if total > 0 else 0.0
-        if share > 0 and unit_power > 0:
+        if share > 0 and unit_power > 0 and p_value_of(at, group) < level:
             spectrum = None if is_beside else noise.spectra.get(where)
             part = share, (carried - measured) / unit_power, spectrum
             found.setdefault(where, []).append(part)
@@ -146,6 +154,32 @@ def disturbances_of(at: Weighted) -> tuple[Disturbance, ...]:
             peak, width = _peak(max(parts, key=lambda p: p[0])[2])
             out.append(Disturbance(where, sd, place.unit, min(share, 1.0), peak, width))
     return tuple(sorted(out, key=lambda d: -d.share))
+
+
+def p_value_of(at: Weighted, group: Sequence[str]) -> float:
+    """p that sources which act alike are no more than the noise of the inputs among them.
+
+    By the ratio of Whittle's likelihoods without and with more of them at the fit: twice its
+    logarithm is chi-square of one degree of freedom, or zero, each half of the time, as a variance
+    is not negative (Self, Liang 1987). 0 where disturbances have spectra of their own, which were
+    chosen by their likelihood.
+    """
+    if at.full.spectra:
+        return 0.0
+    floors = input_noise_floor(at.criterion.data, list(at.model.inputs))
+    kept = {name: at.input_sd.get(name, 0.0) for name in group}
+    without = _noise_with(at, kept)
+    # What acts alike would else pass for noise of an input that its own channel does not have.
+    most = {n: floors[n] for n in floors if without.source_sd.get(n, 0.0) > floors[n]}
+    if most:
+        without = _noise_with(at, most | kept)
+    return 0.5 * float(chi2.sf(2 * (without.misfit - _noise_with(at, {}).misfit), 1))
+
+
+def _noise_with(at: Weighted, stated: Mapping[str, float]) -> NoiseModel:
+    """The noise of the residual at a fit, that of some sources given."""
+    known = {**at.full.known, **stated}
+    return estimate_noise(at.criterion, at.fit.x, known=known, responses=at.full.responses)
 
 
 def is_seen(at: Weighted, source: str) -> bool:

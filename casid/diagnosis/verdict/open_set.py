@@ -63,7 +63,7 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
     p_value = tests.adjusted
     if not at.noise_absorbs_misfit and tests.verdict in _RANDOM:
         beside = at if at.noise.spectra else None
-        return Remainder(p_value, level, disturbances=disturbances_of(at), beside=beside)
+        return Remainder(p_value, level, disturbances=disturbances_of(at, level), beside=beside)
     if at.noise_absorbs_misfit:
         # The residual was tested under the noise of sensors and inputs alone, of which it is much
         # more. With random forces in the noise, of spectra of their own, it may be nothing else.
@@ -71,7 +71,7 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
         again = _tests(with_force, search, level)
         burst = _burst(again, with_force)
         if again.verdict in _RANDOM and burst >= level:
-            found = disturbances_of(with_force)
+            found = disturbances_of(with_force, level)
             return Remainder(again.adjusted, level, disturbances=found, beside=with_force)
         # The spectrum of a random force may be any: it speaks for no deficiency.
         p_value = min(1.0, 3 * min(again.p_dependence, again.p_time), burst)

@@ -278,8 +278,8 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
 
     Parameters
     ----------
-    is_all : the residual is consistent with noise. What an input could have of it at most is then
-        noise of the outputs, and implies nothing.
+    is_all : the residual is consistent with noise. What an input could have of it at most, and what
+        a force could, is then noise of the outputs, and implies nothing.
     """
 
     def text_of(name: str, sd: float) -> str:
@@ -308,7 +308,7 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
             elif not is_all and sd > JUDGING.more_noise * max(own, TINY):
                 most = text_of(source, sd)
                 text += f"; the residual implies up to {most}: a disturbance or model error"
-        elif is_seen(at, source):
+        elif not is_all and is_seen(at, source):
             size = quantity_text(sd, at.model.balances[source].unit)
             text = f"random disturbance, standard deviation {size}"
         else:

@@ -151,8 +151,7 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
         found.append(deadzone(model, place, width, motion.largest))
         if place.is_mechanical:
             found.append(backlash(model, place, width, motion.largest))
-            reach = max(0.5 * (motion.high - motion.low), 1e-12)
-            found += [hysteresis(model, place, share * reach, reach) for share in HYSTERESIS.starts]
+            found += _memories_at(model, place, sizes)
     found += _stops_at(model, place, sizes)
     effects += [e for e in found if e is not None]
     # The square and the root of what keeps its sign are a power law, or a tangent and a constant.
@@ -160,6 +159,23 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
     if is_signed and not place.is_mechanical and not place.is_relative:
         return effects
     return effects + unnamed_effects(model, place, speed, is_signed=is_signed)
+
+
+def _memories_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
+    """Hysteresis of a mechanical position; of a travel within one sample it is dry friction."""
+    if place.velocity is None:
+        return []
+    motion = sizes.motion_of(place.position)
+    reach = max(0.5 * (motion.high - motion.low), 1e-12)
+    least = HYSTERESIS.travel[0] * reach
+    if sizes.Ts is not None:
+        step = sizes.motion_of(place.velocity).largest * sizes.Ts
+        least = max(least, HYSTERESIS.samples * step)
+    most = HYSTERESIS.travel[1] * reach
+    starts = [share * reach for share in HYSTERESIS.starts]
+    return [
+        hysteresis(model, place, start, (least, most)) for start in starts if least < start < most
+    ]
 
 
 def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Effect]:

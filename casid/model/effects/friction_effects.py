@@ -88,7 +88,9 @@ def stribeck_friction(
     )
 
 
-def hysteresis(model: Model, where: str | Place, travel: float, reach: float) -> Effect | None:
+def hysteresis(
+    model: Model, where: str | Place, travel: float, bounds: tuple[float, float]
+) -> Effect | None:
     """-F_h z with a memory z of the motion before, as rubber, wire rope and preloaded joints have.
 
         z' = (v - b |v| |z|^(n-1) z - (1 - b) v |z|^n) / x_h,    |z| <= 1                      (1)
@@ -100,7 +102,7 @@ def hysteresis(model: Model, where: str | Place, travel: float, reach: float) ->
     Parameters
     ----------
     travel : x_h that the search starts from (position's SI unit).
-    reach : half the range of the position, which bounds x_h.
+    bounds : of x_h, the same.
 
     None for places without a position and its rate.
 
@@ -111,7 +113,7 @@ def hysteresis(model: Model, where: str | Place, travel: float, reach: float) ->
     place = place_named(model, where)
     if place.position is None or place.velocity is None:
         return None
-    lower, upper = (share * reach for share in HYSTERESIS.travel)
+    lower, upper = bounds
     (least, most), (blunt, sharp) = HYSTERESIS.shape, HYSTERESIS.exponent
     parameters = (
         Parameter("F_h", place.unit, 0.0, lower=0.0),

@@ -159,6 +159,12 @@ class Hysteresis:
         "of half the range, bounds of the travel: below them it is dry friction, above a spring",
         _FRICTION,
     )
+    samples: float = _is(
+        1.0,
+        "samples that the fastest motion takes over the travel, at least: a shorter one is dry "
+        "friction, and the simulation's steps would be too long for it",
+        _FRICTION,
+    )
     start: float = _is(0.75, "shape of the loop that the search starts from", _FRICTION)
     shape: tuple[float, float] = _is(
         (0.5, 1.5),

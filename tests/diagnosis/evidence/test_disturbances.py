@@ -6,9 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 import casid
-from casid.diagnosis.evidence.disturbances import Disturbance
+from casid.diagnosis.evidence.disturbances import Disturbance, disturbances_of, p_value_of
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 
 SD, Ts = 0.4, 0.05
 
@@ -75,6 +79,31 @@ def test_a_disturbance_that_nobody_would_see_is_not_listed():
     assert d.disturbances == ()
     assert "force" not in d.noise
     assert "random disturbance" not in str(d)
+
+
+def fitted(sd: float, seed: int) -> Weighted:
+    """The model fitted to 500 samples, with the noise found there."""
+    data = [casid.Experiment(record(sd, seed, N=500), {}, "r")]
+    model = oscillator().with_known(mass=1.0)
+    fit = minimize_simulation_error(SimulationError(model, data, weights=np.ones(1)))
+    return Weighing(data).estimated(fit)
+
+
+def test_noise_of_a_sensor_seems_to_be_a_force_as_often_as_the_level_says():
+    """Half of the variances found are zero; what the others have is chi-square of one degree."""
+    draws, level = 60, 0.1
+    p = [p_value_of(fitted(0.0, 100 + i), ["force"]) for i in range(draws)]
+    assert sum(x < level for x in p) <= binom.ppf(0.999, draws, level)
+    assert sum(x > 0.4 for x in p) > binom.ppf(0.001, draws, 0.5)
+
+
+def test_a_force_that_its_inputs_noise_cannot_be_is_found_and_chance_is_not():
+    """A floor of the recorded input bounds what its own noise could explain of the residual."""
+    at = fitted(0.4, seed=5)
+    assert min(p_value_of(at, group) for group in at.full.alike) < 1e-6
+    (found,) = disturbances_of(at, 0.01)
+    assert found.where in ("F", "force")  # both act alike, but for the hold of the input
+    assert disturbances_of(at, 1e-300) == ()
 
 
 def test_a_disturbance_has_the_unit_that_is_requested_and_a_spectrum_in_words():

@@ -12,12 +12,15 @@ from scipy.integrate import solve_ivp
 import casid
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.balance_effects import cubic_damping, quadratic_stiffness
+from casid.model.effects.catalogue import catalogue
+from casid.model.effects.effect import HYSTERESIS_SHAPE, Sizes
 from casid.model.effects.friction_effects import (
     asymmetric_coulomb,
     asymmetric_damping,
     hysteresis,
     stribeck_friction,
 )
+from casid.model.effects.search_ranges import HYSTERESIS
 
 M, K, Ts, SPEED = 2.0, 50.0, 0.005, 0.02
 
@@ -91,7 +94,7 @@ def test_the_decay_speed_is_known_while_nothing_shows_it_and_estimated_after():
 def test_a_force_with_a_memory_moves_the_body_as_bouc_and_wen_write_it(b: float, n: float):
     """Dahl's friction and a loop with sharper corners, against LSODA's adaptive steps."""
     F, travel, N = 1.0, 0.02, 600
-    effect = hysteresis(oscillator(), "force", 0.05, 0.1)
+    effect = hysteresis(oscillator(), "force", 0.05, (0.001, 0.2))
     start = {"F_h": F, "x_h": travel, "b_h": b, "n_h": n}
     model, names = effect.extended(oscillator(), starts=start)
     model.states["z_h"] = dataclasses.replace(model.states["z_h"], initial=0.0)
@@ -114,13 +117,26 @@ def test_a_force_with_a_memory_moves_the_body_as_bouc_and_wen_write_it(b: float,
 
 
 def test_a_memory_does_nothing_and_is_empty_without_its_force():
-    model, names = hysteresis(oscillator(), "force", 0.05, 0.1).extended(oscillator())
+    model, names = hysteresis(oscillator(), "force", 0.05, (0.001, 0.2)).extended(oscillator())
     assert [model.parameters[n].is_known for n in names] == [False, True, True, True]
     assert model.states["z_h"].initial == 0.0
-    there, _ = hysteresis(oscillator(), "force", 0.05, 0.1).extended(
+    there, _ = hysteresis(oscillator(), "force", 0.05, (0.001, 0.2)).extended(
         oscillator(), starts={"F_h": 1.0}
     )
     assert there.states["z_h"].initial is None
+
+
+def test_a_travel_within_one_sample_is_dry_friction_and_no_hysteresis():
+    """RK4 would need shorter steps for it than the fastest motion of the record has."""
+    m = oscillator()
+    sizes = Sizes({"x": 0.1, "v": 0.5}, {}, (0.0, 10.0), 0.1, Ts=0.005)
+    coarse = dataclasses.replace(sizes, Ts=2.0)
+    found = [
+        [e for e in catalogue(m, s, {}) if e.shape == HYSTERESIS_SHAPE] for s in (sizes, coarse)
+    ]
+    assert [e.variant for e in found[0]] == sorted(e.variant for e in found[0])
+    assert len(found[0]) == len(HYSTERESIS.starts)
+    assert found[1] == []
 
 
 def test_a_rate_without_a_position_has_no_hysteresis():
@@ -128,4 +144,4 @@ def test_a_rate_without_a_position_has_no_hysteresis():
     w = m.state("w", "rad/s")
     m.balance(w, "torque", inertia=1.0, terms=[-m.parameter("d", "N m s/rad") * w])
     m.output("speed", w, "rad/s")
-    assert hysteresis(m, "torque", 0.1, 1.0) is None
+    assert hysteresis(m, "torque", 0.1, (0.01, 2.0)) is None
