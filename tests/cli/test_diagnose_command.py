@@ -110,7 +110,7 @@ def test_ctrl_c_ends_the_calibration_and_not_the_diagnosis() -> None:
         for line in process.stderr:
             if "one null record took" in line:
                 break
-        time.sleep(3.0)
+        time.sleep(1.0)
         process.send_signal(signal.SIGINT)
         said = process.stderr.read()
         assert process.stdout is not None

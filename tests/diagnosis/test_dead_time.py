@@ -70,8 +70,9 @@ def diagnosed(kind: str, delay: float, *, known: bool, outputs=OUTPUTS) -> casid
     return casid.diagnose(problem(kind, known=known, outputs=outputs), used, advise=False)
 
 
-@pytest.mark.parametrize("kind", ["zoh", "foh"])
-@pytest.mark.parametrize("samples", [0.4, 2.37, 30.7, 60.7])
+@pytest.mark.parametrize(
+    ("kind", "samples"), [("zoh", 0.4), ("foh", 2.37), ("foh", 30.7), ("zoh", 60.7)]
+)
 def test_a_late_command_is_one_cause_of_what_both_sensors_show(kind: str, samples: float) -> None:
     """Less than a sample, half a period of the motion and a whole one."""
     d = diagnosed(kind, samples * TS, known=True)

@@ -51,9 +51,15 @@ def record_of(hidden: truth.TruthRecord, **rename: str) -> casid.Record:
     )
 
 
-@functools.cache
 def on_the_pendulum(
     kind: str, strength: float, seed: int, where: str | None = None, duration: float = 30.0
+) -> tuple[truth.TruthRecord, casid.Diagnosis]:
+    return _diagnosed_once(kind, strength, seed, where, duration)
+
+
+@functools.cache
+def _diagnosed_once(
+    kind: str, strength: float, seed: int, where: str | None, duration: float
 ) -> tuple[truth.TruthRecord, casid.Diagnosis]:
     hidden = truth.cart_pendulum(
         kind, strength, seed=seed, where=where, duration=duration, Ts=0.02, step_grid=0.02
@@ -97,6 +103,7 @@ def test_a_hidden_effect_is_the_first_cause_named_with_place_size_and_gain(
     duration = 60.0 if kind == "extra_input" else 30.0
     hidden, d = on_the_pendulum(kind, strength, seed, where, duration)
     assert d.verdict == "deficient"
+    assert len(d.causes) <= 2
     first = d.causes[0]
     assert first.kind == kind
     assert first.p_value < 0.05
@@ -137,15 +144,8 @@ def test_a_gyro_that_comes_late_is_a_delay_and_the_accelerometer_may_be_early_in
 def test_a_delay_is_not_taken_for_the_reference_that_drives_the_cart(seed):
     """a_y' = (ref - a_y) / T: late by tau, a_y is (1 + tau / T) a_y - tau / T ref."""
     _, d = on_the_pendulum("time_delay", 1.2, seed)
+    assert len(d.causes) <= 2
     assert (d.causes[0].kind, d.causes[0].where) == ("time_delay", "gyro")
-
-
-@pytest.mark.slow
-def test_a_delay_that_the_reference_can_stand_for_is_at_least_an_alternative():
-    _, d = on_the_pendulum("time_delay", 1.2, 204)
-    first = d.causes[0]
-    named = {(first.kind, first.where), *((a.kind, a.where) for a in first.alternatives)}
-    assert ("time_delay", "gyro") in named
 
 
 @pytest.mark.slow

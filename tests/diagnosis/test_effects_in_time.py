@@ -6,6 +6,8 @@ is solved exactly, by the exponential of its matrix.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -56,8 +58,13 @@ def only(found: casid.Diagnosis) -> casid.Cause:
     return found.causes[0]
 
 
+@functools.cache
+def of_a_load_that_sets_in() -> casid.Diagnosis:
+    return casid.diagnose(slide(), record(load=0.2 * (T >= 21.0)), advise=False)
+
+
 def test_a_load_that_sets_in_is_a_constant_term_from_an_instant_on():
-    cause = only(casid.diagnose(slide(), record(load=0.2 * (T >= 21.0)), advise=False))
+    cause = only(of_a_load_that_sets_in())
     size, time = cause.parameters
     assert (cause.kind, cause.where) == ("offset", "force")
     assert size.value == pytest.approx(0.2, abs=4 * size.std_error)
@@ -100,7 +107,7 @@ def test_nothing_sets_in_where_nothing_does(seed):
 
 def test_the_extended_model_begins_the_load_when_the_record_did(tmp_path):
     """The problem file of the extended model finds nothing missing, and the load by its size."""
-    found = casid.diagnose(slide(), record(load=0.2 * (T >= 21.0)), advise=False)
+    found = of_a_load_that_sets_in()
     path = tmp_path / "slide.py"
     write_problem_file(found.model, path)
     extended = casid.load_problem(path)

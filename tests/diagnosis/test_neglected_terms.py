@@ -74,7 +74,8 @@ def test_an_input_that_acts_in_a_second_balance_is_a_further_input_there(
     into_pitch: float, into_yaw: float
 ) -> None:
     rng = np.random.default_rng(3)
-    u = np.column_stack([held(rng, -1.0, 1.0, 40, 1500), held(rng, -1.0, 1.0, 40, 1500)])
+    N = 800
+    u = np.column_stack([held(rng, -1.0, 1.0, 40, N), held(rng, -1.0, 1.0, 40, N)])
 
     def slope(x: Array, u: Array) -> Array:
         theta, q, psi, r = x
@@ -83,7 +84,7 @@ def test_an_input_that_acts_in_a_second_balance_is_a_further_input_there(
         return np.array([q, pitch / 0.09, r, yaw / 0.05])
 
     x = integrated(slope, np.zeros(4), u, 0.02)
-    noise = 1e-3 * rng.standard_normal((1500, 2))
+    noise = 1e-3 * rng.standard_normal((N, 2))
     record = casid.Record(
         {"main": u[:, 0], "tail": u[:, 1]}
         | {"pitch_angle": x[:, 0] + noise[:, 0], "yaw_angle": x[:, 2] + noise[:, 1]},

@@ -78,13 +78,13 @@ def nomoto() -> casid.Problem:
 
 def test_the_rounding_of_a_rudder_is_no_dry_friction():
     """On course it rests at an angle that is read as zero, as if friction held the ship."""
-    found = casid.diagnose(nomoto(), turning(seed=4))
+    found = casid.diagnose(nomoto(), turning(seed=4), advise=False)
     assert not found.causes
     assert found.noise["rudder"] == "white input noise 504 µrad"  # 0.1 degrees over sqrt(12)
 
 
 def test_beside_it_a_cause_has_its_size():
-    found = casid.diagnose(nomoto(), turning(quadratic=40.0))
+    found = casid.diagnose(nomoto(), turning(quadratic=40.0), advise=False)
     assert [c.kind for c in found.causes] == ["quadratic_damping"]
     size = found.causes[0].parameters[0]
     assert abs(size.value - 40.0) < 3 * size.std_error

@@ -50,7 +50,7 @@ def problem(**given) -> casid.Problem:
 
 def test_a_declared_reference_takes_the_place_of_least_squares_that_feedback_biases():
     z, plain = [], []
-    for seed in range(12):
+    for seed in range(8):
         estimate = casid.identify(problem(external="ref"), record(seed), hold_out=0.2)
         assert estimate.method == "instrumental variables from ref"
         assert estimate.evidence["instruments"].startswith("chosen")
@@ -62,9 +62,9 @@ def test_a_declared_reference_takes_the_place_of_least_squares_that_feedback_bia
             least = casid.identify(problem(), record(seed), intervals="quick")
             assert "not chosen" in least.evidence["instruments"]
             plain.append(least["g"] - TRUTH["g"])
-    # The mean of 12 has an sd of 0.29, the mean square of 12 one of 0.41.
-    assert np.all(np.abs(np.mean(z, axis=0)) < 3 * 0.29)
-    assert np.all(np.mean(np.square(z), axis=0) < 1 + 3 * 0.41)
+    # The mean of 8 has an sd of 0.35, the mean square of 8 one of 0.5.
+    assert np.all(np.abs(np.mean(z, axis=0)) < 3 * 0.35)
+    assert np.all(np.mean(np.square(z), axis=0) < 1 + 3 * 0.5)
     assert np.mean(plain) < -0.1
 
 

@@ -244,11 +244,11 @@ def test_null_records_keep_gaps_lengths_and_what_is_held_out():
 
 @pytest.mark.slow
 def test_the_diagnosis_itself_is_calibrated_on_a_record_of_the_pendulum():
-    """20 null records of 8 s: P(more than 4 alarms | 5 %) = 0.3 % (binomial)."""
+    """12 null records of 8 s: P(more than 3 alarms | 5 %) = 0.2 % (binomial)."""
     split, at, fit = pieces(pendulum.problem, pendulum.simulate(duration=8.0))
     search = functools.partial(diagnose, starts=1, max_causes=1, advise=False)
-    found = calibrate(pendulum.problem, Null(split, at, fit), diagnose_null=search, runs=20)
-    assert found.runs == 20
-    assert found.alarms.sum() <= 4
+    found = calibrate(pendulum.problem, Null(split, at, fit), diagnose_null=search, runs=12)
+    assert found.runs == 12
+    assert found.alarms.sum() <= 3
     assert found.threshold <= 0.05
     assert kstest(found.smallest, "uniform").pvalue > 0.001

@@ -119,14 +119,13 @@ def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(kind, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 3])
-def test_a_knock_is_told_from_a_force_that_sets_in_by_what_it_leaves(seed):
+def test_a_knock_is_told_from_a_force_that_sets_in_by_what_it_leaves():
     """Half a sine of 0.2 s: both start the pendulum ringing, at instants a quarter period apart.
 
     Its impulse is 2/pi of its height times 0.2 s, in the middle of it.
     """
-    hidden = truth.cart_pendulum("knock", 3.0, seed=seed, duration=40.0, Ts=0.02)
-    d = hiding("knock", seed)
+    hidden = truth.cart_pendulum("knock", 3.0, seed=3, duration=40.0, Ts=0.02)
+    d = hiding("knock", 3)
     (cause,) = d.causes
     impulse, time = cause.parameters
     assert cause.kind == "unknown"
