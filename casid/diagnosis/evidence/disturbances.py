@@ -7,7 +7,7 @@ still be adequate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import Any
@@ -127,7 +127,8 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
     level : at which they are tested, all together.
     """
     noise = at.full
-    level = level / max(len(noise.alike), 1)
+    if p_value_of(at, list(noise.source_sd)) >= level:
+        return ()
     total = _residual_power(at)
 
     found: dict[str, list[tuple[float, float, DisturbanceSpectrum | None]]] = {}
@@ -141,12 +142,16 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
         is_beside = where != group[0] and where in noise.spectra
         unit_power = _power_of(at, where, is_white=is_beside)
         share = (carried - measured) / total if total > 0 else 0.0
-        if share > 0 and unit_power > 0 and p_value_of(at, group) < level:
+        if share > 0 and unit_power > 0:
             spectrum = None if is_beside else noise.spectra.get(where)
             part = share, (carried - measured) / unit_power, spectrum
             found.setdefault(where, []).append(part)
     out = []
-    for where, parts in found.items():
+    seen = [w for w in found if p_value_of(at, _acting_as(at, w)) < level / len(found)]
+    # Of several that act nearly alike none may be needed: the one with most of it stands for all.
+    strongest = sorted(found, key=lambda where: -sum(p[0] for p in found[where]))[:1]
+    for where in seen or strongest:
+        parts = found[where]
         share = sum(p[0] for p in parts)
         if share >= JUDGING.practical:
             sd = float(np.sqrt(sum(p[1] for p in parts)))
@@ -156,12 +161,18 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
     return tuple(sorted(out, key=lambda d: -d.share))
 
 
-def p_value_of(at: Weighted, group: Sequence[str]) -> float:
-    """p that sources which act alike are no more than the noise of the inputs among them.
+def _acting_as(at: Weighted, where: str) -> Sequence[str]:
+    """The sources that act as one does."""
+    return next((group for group in at.full.alike if where in group), (where,))
 
-    By the ratio of Whittle's likelihoods without and with more of them at the fit: twice its
-    logarithm is chi-square of one degree of freedom, or zero, each half of the time, as a variance
-    is not negative (Self, Liang 1987). 0 where disturbances have spectra of their own, which were
+
+def p_value_of(at: Weighted, group: Collection[str]) -> float:
+    """p that sources are no more than the noise of the inputs among them.
+
+    By the ratio of Whittle's likelihoods without and with more of them at the fit. As a variance is
+    not negative, twice its logarithm is zero half of the time, and else chi-square of one degree of
+    freedom (Self, Liang 1987); of several groups that act alike it is at most chi-square of as many
+    as there are. 0 where disturbances have spectra of their own, which were
     chosen by their likelihood.
     """
     if at.full.spectra:
@@ -173,7 +184,9 @@ def p_value_of(at: Weighted, group: Sequence[str]) -> float:
     most = {n: floors[n] for n in floors if without.source_sd.get(n, 0.0) > floors[n]}
     if most:
         without = _noise_with(at, most | kept)
-    return 0.5 * float(chi2.sf(2 * (without.misfit - _noise_with(at, {}).misfit), 1))
+    groups = sum(any(name in group for name in each) for each in at.full.alike)
+    ratio = 2 * (without.misfit - _noise_with(at, {}).misfit)
+    return float(chi2.sf(ratio, groups)) * (0.5 if groups <= 1 else 1.0) if ratio > 0 else 1.0
 
 
 def _noise_with(at: Weighted, stated: Mapping[str, float]) -> NoiseModel:
