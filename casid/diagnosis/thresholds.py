@@ -677,6 +677,12 @@ _DESCRIPTION = f"{TESTS}/unexplained/test_description.py"
 class Description:
     """The description of what was found, and of a misfit outside the catalogue."""
 
+    noiseless: float = _is(
+        1e-3,
+        "of the rms error that noise leaves, the white noise of an output below which none was "
+        "found: its estimate ended next to zero",
+        f"{TESTS}/verdict/test_sentences.py",
+    )
     as_well: float = _is(
         2.0,
         "of BIC, up to which an alternative is said to explain the misfit as well",

@@ -146,18 +146,18 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
             spectrum = None if is_beside else noise.spectra.get(where)
             part = share, (carried - measured) / unit_power, spectrum
             found.setdefault(where, []).append(part)
-    out = []
-    seen = [w for w in found if p_value_of(at, _acting_as(at, w)) < level / len(found)]
+    shares = {where: sum(p[0] for p in parts) for where, parts in found.items()}
+    large = [where for where, share in shares.items() if share >= JUDGING.practical]
+    seen = [w for w in large if p_value_of(at, _acting_as(at, w)) < level / len(large)]
     # Of several that act nearly alike none may be needed: the one with most of it stands for all.
-    strongest = sorted(found, key=lambda where: -sum(p[0] for p in found[where]))[:1]
+    strongest = sorted(large, key=lambda where: -shares[where])[:1]
+    out = []
     for where in seen or strongest:
         parts = found[where]
-        share = sum(p[0] for p in parts)
-        if share >= JUDGING.practical:
-            sd = float(np.sqrt(sum(p[1] for p in parts)))
-            place = at.model.balances.get(where) or at.model.inputs[where]
-            peak, width = _peak(max(parts, key=lambda p: p[0])[2])
-            out.append(Disturbance(where, sd, place.unit, min(share, 1.0), peak, width))
+        sd = float(np.sqrt(sum(p[1] for p in parts)))
+        place = at.model.balances.get(where) or at.model.inputs[where]
+        peak, width = _peak(max(parts, key=lambda p: p[0])[2])
+        out.append(Disturbance(where, sd, place.unit, min(shares[where], 1.0), peak, width))
     return tuple(sorted(out, key=lambda d: -d.share))
 
 

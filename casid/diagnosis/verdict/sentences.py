@@ -145,6 +145,10 @@ def says(effect: Effect, column: str = "") -> str:
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
     if effect.kind in ("offset", "sensor_bias") and effect.is_on_the_clock:
         return effect.description
+    if effect.kind == "parameter_drift" and "stop" in effect.constants:
+        start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
+        change = f"its change is that from {start} to {stop}, its value the one in the middle"
+        return f"{says_kind(effect.kind, effect.where)} ({change})"
     if effect.kind == "missing_mode" and effect.description:
         return effect.description
     if effect.kind == "time_delay" and effect.description:
@@ -285,9 +289,15 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
     def text_of(name: str, sd: float) -> str:
         return quantity_text(at.model.shown_size(name, sd), at.model.unit_of(name))
 
+    records = range(len(at.criterion.experiments))
+    left = np.sqrt(np.mean([at.full.floor(e) ** 2 for e in records], axis=0))
     out = {
         name: f"white output noise {text_of(name, sd)}"
-        for name, sd in zip(at.criterion.outputs, at.full.output_sd.tolist(), strict=True)
+        if sd > DESCRIPTION.noiseless * rms
+        else "no white output noise found: other sources account for its error"
+        for name, sd, rms in zip(
+            at.criterion.outputs, at.full.output_sd.tolist(), left.tolist(), strict=True
+        )
     }
     for source, sd in at.full.source_sd.items():
         if sd <= 0:

@@ -24,6 +24,7 @@ from casid.diagnosis.verdict.sentences import (
 )
 from casid.estimation.estimate import Estimated
 from casid.model.effects.channel_effects import hold
+from casid.model.effects.parameter_effects import parameter_drift
 from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
@@ -191,11 +192,41 @@ def test_a_residual_that_is_noise_implies_nothing_of_an_input():
     at: Any = SimpleNamespace(
         model=m,
         input_sd={"u": 0.01},
-        full=SimpleNamespace(output_sd=np.array([0.1]), source_sd={"u": 0.3}),
+        full=SimpleNamespace(
+            output_sd=np.array([0.1]), source_sd={"u": 0.3}, floor=lambda _: np.array([0.12])
+        ),
         criterion=SimpleNamespace(outputs=("z",), experiments=[casid.Experiment(record, {}, "r")]),
     )
     assert "the residual implies up to 0.3 m/s" in noise_text(at)["u"]
     assert noise_text(at, is_all=True)["u"] == "white input noise 10 mm/s"
+    assert noise_text(at)["z"] == "white output noise 0.1 m"
+
+
+def test_an_output_whose_noise_ended_at_zero_has_none_instead_of_nanometres():
+    m = casid.Model("probe")
+    m.derivative(m.state("z", "m"), m.input("u", "m/s"))
+    m.output("z", m.symbol("z"), "m")
+    record = casid.Record({"z": np.zeros(9)}, {"z": "m"}, Ts=1.0)
+    at: Any = SimpleNamespace(
+        model=m,
+        input_sd={},
+        full=SimpleNamespace(
+            output_sd=np.array([1e-9]), source_sd={}, floor=lambda _: np.array([0.02])
+        ),
+        criterion=SimpleNamespace(outputs=("z",), experiments=[casid.Experiment(record, {}, "r")]),
+    )
+    assert noise_text(at)["z"].startswith("no white output noise found")
+
+
+def test_a_drift_says_between_which_instants_it_is_and_where_the_parameter_has_its_value():
+    m = casid.Model("probe")
+    k = m.parameter("k", "1/s", start=1.0)
+    z = m.state("z", "m")
+    m.derivative(z, -k * z)
+    m.output("z", z, "m")
+    said = says(parameter_drift(m, "k", (0.0, 210.0)))
+    assert said.startswith("the parameter k drifts during the record")
+    assert "from 0 s to 3.5 min, its value the one in the middle" in said
 
 
 @pytest.mark.parametrize(
