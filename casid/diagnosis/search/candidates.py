@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from casid.arrays import TINY
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
+from casid.errors import ModelError
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words
@@ -97,6 +98,18 @@ def extended_by(model: Model, candidates: Sequence[Candidate]) -> tuple[Model, l
         model, names = c.effect.extended(model, starts=found_values(c))
         placed.append(replace(c, names=names))
     return model, [replace(c, model=model) for c in placed]
+
+
+def is_needed(model: Model, others: Sequence[Candidate]) -> bool:
+    """True of a cause without which the others cannot be: one of them acts on what it adds.
+
+    A further input that turns out to lag, say. It has no rivals, whose models would lack the input.
+    """
+    try:
+        extended_by(model, others)
+    except ModelError:
+        return True
+    return False
 
 
 def name_of(effect: Effect) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.candidates import Adopted, Candidate, extended_by, name_of
+from casid.diagnosis.search.candidates import Adopted, Candidate, extended_by, is_needed, name_of
 from casid.diagnosis.search.refinement import Adoption, values_by_new_names, whole_fit
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import simulation_errors
@@ -33,7 +33,8 @@ def with_likelier_rivals(
         return found
     for i in range(len(found.adopted)):
         rival = likelier_rival(found.adopted, i)
-        if rival is not None:
+        others = [a.candidate for a in (*found.adopted[:i], *found.adopted[i + 1 :])]
+        if rival is not None and not is_needed(start.model, others):
             found = _in_its_place(search, found, i, rival, start, split, settings)
     return found
 

@@ -13,7 +13,14 @@ from functools import partial
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.alternatives import rivals_of
-from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, extended_by, name_of
+from casid.diagnosis.search.candidates import (
+    Adopted,
+    Candidate,
+    Rival,
+    extended_by,
+    is_needed,
+    name_of,
+)
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
 from casid.time_limit import require_time
@@ -34,9 +41,14 @@ def reconsidered(
             a.before is not None and a.before.noise_absorbs_misfit
         )
         rivals = a.rivals
-        if a.contenders and judged_under_misfit and not at.noise_absorbs_misfit:
+        others = [b.candidate for b in adopted if b is not a]
+        if (
+            a.contenders
+            and judged_under_misfit
+            and not at.noise_absorbs_misfit
+            and not is_needed(start.model, others)
+        ):
             search.progress(f"compare {name_of(a.candidate.effect)} with its rivals again")
-            others = [b.candidate for b in adopted if b is not a]
             again = search.attempts.attempt(
                 f"the second judgement of the rivals of {name_of(a.candidate.effect)}",
                 partial(_rivals_beside, search, a, others, start, at),

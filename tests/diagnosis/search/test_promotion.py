@@ -10,11 +10,17 @@ import numpy as np
 import pytest
 
 from casid.diagnosis.search.alternatives import rivals_of
-from casid.diagnosis.search.candidates import Adopted, Candidate, Rival
+from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, is_needed
 from casid.diagnosis.search.promotion import likelier_rival
 from casid.diagnosis.search.reconsideration import cause_as_it_is
 from casid.diagnosis.thresholds import COMPARISON
-from casid.model.effects.balance_effects import coulomb_friction, cubic_damping, quadratic_damping
+from casid.model.effects.balance_effects import (
+    coulomb_friction,
+    cubic_damping,
+    extra_input,
+    quadratic_damping,
+)
+from casid.model.effects.channel_effects import sensor_lag
 from tests.diagnosis.search.test_alternatives import MODEL, judged
 
 CUBIC, SQUARE = cubic_damping(MODEL, "torque"), quadratic_damping(MODEL, "torque")
@@ -82,3 +88,16 @@ def test_rivals_are_compared_with_the_best_fit_of_a_cause_that_is_known(
     )
     at: Any = SimpleNamespace(model=MODEL, fit=None)
     assert cause_as_it_is(search, own, at, at) is (own, other)[better]
+
+
+def test_a_cause_that_another_acts_on_is_needed_and_has_no_rival() -> None:
+    """A further input that turns out to lag: without the input there is no lag."""
+    wind = extra_input(MODEL, "torque", "wind", "m/s")
+    found: Any = SimpleNamespace(values={})
+    first = replace(judged(wind, 9.0, 0.0), fit=found, names=("b_wind",))
+    with_wind = wind.extend(MODEL)
+    late = sensor_lag(with_wind, "wind", 1.0)
+    second = replace(judged(late, 9.0, 0.0), fit=found, names=("lag_wind",))
+    assert is_needed(MODEL, [second])
+    assert not is_needed(MODEL, [first])
+    assert not is_needed(MODEL, [first, second])
