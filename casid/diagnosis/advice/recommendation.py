@@ -155,14 +155,11 @@ def advice(
             f"{separates(causes[0].kind)}."
         )
     if verdict == "deficient" and all(c.kind in OF_SAMPLES for c in causes):
-        if why_undecided:
-            return (
-                "Correct the sensor or the logger, or mark these samples as missing. Whether the "
-                f"model is adequate without them is not known: {why_undecided}."
-            )
+        return _of_samples(why_undecided)
+    if verdict == "deficient" and all(c.kind == "unknown" and not c.parameters for c in causes):
         return (
-            "Correct the sensor or the logger, or mark these samples as missing; without them, as "
-            "they are left out here, nothing in this record contradicts the model."
+            "No term was found to add: look for what the residual follows, add that to the model "
+            f"or record it, and diagnose again, best with {separates('unknown')}."
         )
     declared = declares(causes)
     if verdict == "deficient" and declared and all(c.kind == "hold" for c in causes):
@@ -177,6 +174,19 @@ def advice(
         names = ", ".join(sorted(effect_words(k, w) for k, w in undetectable))
         return f"The model may be used. Undetectable in this set-up: {names}."
     return "The model may be used for motions like those recorded."
+
+
+def _of_samples(why_undecided: str) -> str:
+    """What to do where nothing but samples of a sensor is wrong."""
+    if why_undecided:
+        return (
+            "Correct the sensor or the logger, or mark these samples as missing. Whether the "
+            f"model is adequate without them is not known: {why_undecided}."
+        )
+    return (
+        "Correct the sensor or the logger, or mark these samples as missing; without them, as "
+        "they are left out here, nothing in this record contradicts the model."
+    )
 
 
 def _disturbance_advice(model: Model, d: Disturbance) -> str:

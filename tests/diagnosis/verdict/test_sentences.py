@@ -218,6 +218,16 @@ def test_an_output_whose_noise_ended_at_zero_has_none_instead_of_nanometres():
     assert noise_text(at)["z"].startswith("no white output noise found")
 
 
+def test_what_was_not_named_extends_nothing_and_the_advice_does_not_say_so():
+    unknown = Cause("unknown", "torque", 1e-3, ())
+    said = advice("deficient", [unknown], (), "")
+    assert said.startswith("No term was found to add: look for what the residual follows")
+    assert "extended model" not in said
+    assert "Use the extended model" in advice(
+        "deficient", [unknown, replace(NAMED, alternatives=())], (), ""
+    )
+
+
 def test_a_drift_says_between_which_instants_it_is_and_where_the_parameter_has_its_value():
     m = casid.Model("probe")
     k = m.parameter("k", "1/s", start=1.0)
