@@ -284,6 +284,14 @@ def why_worse(before: Array, after: Array) -> str:
     return ""
 
 
+def _measured(signals: Signals, record: Record, outputs: Sequence[str]) -> Array:
+    """(N, ny) readings, those that do not count as they were recorded; NaN where there is none."""
+    if record.N != signals.N or any(name not in record.names for name in outputs):
+        return np.where(signals.used, signals.y, np.nan)
+    recorded = np.column_stack([record[name] for name in outputs])
+    return np.where(signals.used, signals.y, recorded)
+
+
 def record_views(base: Fit, extended: Fit | None, split: Split) -> tuple[RecordView, ...]:
     """Measured and simulated signals of every record, fitted ones first, for figures."""
     best = extended or base
@@ -307,7 +315,7 @@ def record_views(base: Fit, extended: Fit | None, split: Split) -> tuple[RecordV
                 t=d.t,
                 outputs=base.criterion.outputs,
                 output_units=tuple(unit for _, unit in model.outputs.values()),
-                measured=d.y,
+                measured=_measured(d, experiment.record, base.criterion.outputs),
                 used=d.used,
                 fitted=np.zeros(d.N, dtype=bool) if apart else ~split.held[e],
                 baseline=y,

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 import casid
-from casid.estimation.holdout import held_out_error, split_records, why_no_better
+from casid.estimation.holdout import held_out_error, record_views, split_records, why_no_better
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.parameter_effects import parameter_jump
 from tests.support.fitted_models import driven_mass
@@ -158,3 +158,19 @@ def test_a_change_in_time_acts_in_the_end_of_its_record_and_not_in_another():
     assert float(np.std(own)) == pytest.approx(1e-3, rel=0.15)
     apart = held_out_error(fit, split_records([one], [other]), anew=True) / fit.criterion.weights
     assert float(np.std(apart)) > 2e-3
+
+
+def test_a_reading_that_is_missing_is_shown_nowhere_and_one_that_was_marked_where_it_was():
+    """Missing samples count as zero in the fit: in degC they were drawn at -273."""
+    e = experiment()
+    y = e.record["position"].copy()
+    y[100] = np.nan
+    missing = {"position": np.isin(np.arange(1000), [100, 200])}
+    columns, units = {"force": e.record["force"], "position": y}, {"force": "N", "position": "m"}
+    record = casid.Record(columns, units, Ts=TS, missing=missing)
+    split = split_records([casid.Experiment(record, {}, "r")], 0.0)
+    fit = fit_model(problem().model, split.fitted, FitSettings(starts=1))
+    (view,) = record_views(fit, None, split)
+    assert not view.used[[100, 200], 0].any()
+    assert np.isnan(view.measured[100, 0])
+    assert view.measured[200, 0] == y[200]

@@ -93,6 +93,14 @@ def test_simulation_shows_data_as_points_and_both_simulations_as_lines():
     assert figure.layout.xaxis.title.text == "time [s]"
 
 
+def test_a_fault_value_that_is_left_out_does_not_flatten_the_readings():
+    v = samples.deficient(N=1500).records[0]
+    far = v.measured.copy()
+    far[~v.used[:, 0], 0] = 85000.0
+    shown = [t.y for t in simulation_figure([replace(v, measured=far)]).data]
+    assert max(np.nanmax(np.asarray(y, dtype=float)) for y in shown if len(y)) < 100
+
+
 def test_fitted_and_held_out_parts_are_labelled_and_only_the_held_out_is_shaded():
     v = samples.deficient(N=3000).records[0]
     fitted, held_out = simulation_figure([v]).layout.shapes

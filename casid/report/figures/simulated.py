@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.estimation.estimate import RecordView
 from casid.report.figures.panels import Panels
@@ -86,7 +86,7 @@ def _add_output(figure: Panels, v: RecordView, row: int, limit: int, time_unit: 
     i = thinned(kept, limit)
     own: dict[str, Any] = {"view": v, "hovertemplate": hover_text(time_unit, v.output_units[row])}
     figure.points(row, v.t[i], kept[i], "measured", {"color": MEASURED, "size": 4.5}, **own)
-    left_out = ~used & np.isfinite(measured)
+    left_out = ~used & _is_near(measured, kept)
     if left_out.any():
         i = np.flatnonzero(left_out)
         i = i[thinned(measured[i], limit)]
@@ -97,6 +97,15 @@ def _add_output(figure: Panels, v: RecordView, row: int, limit: int, time_unit: 
         i = thinned(y, limit)
         figure.line(row, v.t[i], y[i], label, colour, width=1.3, dash=dash, **own)
     return kept
+
+
+def _is_near(values: Array, kept: Array) -> BoolArray:
+    """Where values are within two ranges of those that count: beside others these would be flat."""
+    if not np.isfinite(kept).any():
+        return np.isfinite(values)
+    low, high = np.nanmin(kept), np.nanmax(kept)
+    span = 2 * ((high - low) or abs(high) or 1.0)
+    return np.asarray((values >= low - span) & (values <= high + span))
 
 
 def residual_time_figure(records: Sequence[RecordView]) -> Any:
