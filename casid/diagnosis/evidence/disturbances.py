@@ -172,8 +172,8 @@ def p_value_of(at: Weighted, group: Collection[str]) -> float:
     By the ratio of Whittle's likelihoods without and with more of them at the fit. As a variance is
     not negative, twice its logarithm is zero half of the time, and else chi-square of one degree of
     freedom (Self, Liang 1987); of several groups that act alike it is at most chi-square of as many
-    as there are. 0 where disturbances have spectra of their own, which were
-    chosen by their likelihood.
+    as there are. 0 where disturbances have spectra of their own, which were chosen by their
+    likelihood.
     """
     if at.full.spectra:
         return 0.0

@@ -235,9 +235,14 @@ def switched_on(model: Model, name: str) -> None:
         model.parameters[name] = replace(p, start=1.0, lower=1.0, upper=1.0)
 
 
+def is_null(model: Model, names: Sequence[str]) -> bool:
+    """True where an effect, its parameters `names`, is in a model at its null value of zero."""
+    return model.parameters[names[0]].start == 0.0
+
+
 def known_while_null(model: Model, names: Sequence[str]) -> None:
     """Make an effect's further parameters known where its first is null: nothing shows them."""
-    if model.parameters[names[0]].start == 0.0:
+    if is_null(model, names):
         for name in names[1:]:
             p = model.parameters[name]
             model.parameters[name] = replace(p, value=p.start)

@@ -14,7 +14,7 @@ import numpy as np
 from casid.errors import ModelError
 from casid.model.declarations import Parameter, Stage
 from casid.model.effects.channel_effects import carry, commands_of, is_lagging, require_command
-from casid.model.effects.effect import Effect, Sizes, known_while_null
+from casid.model.effects.effect import Effect, Sizes, is_null, known_while_null
 from casid.model.effects.place import is_mechanical
 from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES, RANGES
 from casid.model.model import Model
@@ -117,8 +117,8 @@ def missing_store(model: Model, balance: str, tau: float) -> Effect:
 
     def apply(new: Model, names: Sequence[str]) -> None:
         C, time_constant = (new.symbol(n) for n in names)
-        is_null = new.parameters[names[0]].start == 0.0
-        r = new.state(new.free_name("r_m"), rate, initial=0.0 if is_null else None)
+        level = 0.0 if is_null(new, names) else None
+        r = new.state(new.free_name("r_m"), rate, initial=level)
         new.derivative(r, new.der(b.rate) - r / time_constant)
         new.add_term(balance, -C * r / time_constant)
         known_while_null(new, names)

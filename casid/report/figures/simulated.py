@@ -103,9 +103,15 @@ def _is_near(values: Array, kept: Array) -> BoolArray:
     """Where values are within two ranges of those that count: beside others these would be flat."""
     if not np.isfinite(kept).any():
         return np.isfinite(values)
-    low, high = np.nanmin(kept), np.nanmax(kept)
-    span = 2 * ((high - low) or abs(high) or 1.0)
-    return np.asarray((values >= low - span) & (values <= high + span))
+    low, high, _ = _around(kept[np.isfinite(kept)])
+    return np.asarray((values >= low) & (values <= high))
+
+
+def _around(data: Array) -> tuple[float, float, float]:
+    """Two ranges of finite data below and above them, and one range."""
+    low, high = float(data.min()), float(data.max())
+    span = (high - low) or abs(high) or 1.0
+    return low - 2 * span, high + 2 * span, span
 
 
 def residual_time_figure(records: Sequence[RecordView]) -> Any:
@@ -137,8 +143,6 @@ def _readable_range(measured: Array, simulated: Sequence[Array]) -> tuple[list[f
     runs = np.concatenate([s[np.isfinite(s)] for s in simulated]) if simulated else np.empty(0)
     if not data.size or not runs.size:
         return None, False
-    low, high = float(data.min()), float(data.max())
-    span = (high - low) or abs(high) or 1.0
-    low, high = low - 2 * span, high + 2 * span
+    low, high, span = _around(data)
     is_cut = bool(runs.min() < low - span or runs.max() > high + span)
     return ([low, high], True) if is_cut else (None, False)
