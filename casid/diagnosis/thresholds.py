@@ -611,6 +611,12 @@ class Rounds:
         "laws of friction or damping adopted in one place: a third repairs their shape",
         f"{TESTS}/search/test_imitations.py",
     )
+    stop: float = _is(
+        1.0,
+        "of the stiffness beside it, at least, that a stop has: a softer one is a spring that "
+        "hardens, as the righting arm of a ship does",
+        f"{TESTS}/search/test_imitations.py",
+    )
     backward_wald: float = _is(
         2.0, "standard errors below which a cause is eliminated again", POWER_STUDY
     )

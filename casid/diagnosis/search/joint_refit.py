@@ -19,6 +19,7 @@ from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted, use_
 from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
+from casid.diagnosis.search.imitations import is_soft_stop
 from casid.diagnosis.thresholds import REFITS
 from casid.errors import SolveError
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
@@ -67,8 +68,7 @@ class Refitting:
             return None
         best = self._with_more_room(at, best)
         self.attempts.succeeded(name_of(effect))
-        size = best.fit.values[best.names[0]] - effect.parameters[0].start
-        return None if abs(size) < effect.constants.get("least", 0.0) else best
+        return best if _is_plausible(at, best) else None
 
     def _with_more_room(self, at: Weighted, best: Candidate) -> Candidate:
         """A delay or lag that ends at the end of what its start left it, with room from there."""
@@ -150,7 +150,9 @@ class Refitting:
             return new
         whole = partial(self._from, at, effect, values, None, found.fit.values)
         other = self.attempts.attempt(name_of(effect), whole)
-        return other if other and (new is None or other.gain > new.gain) else new
+        if other is None or not _is_plausible(at, other):
+            return new
+        return other if new is None or other.gain > new.gain else new
 
     def judged(
         self, at: Weighted, effect: Effect, names: tuple[str, ...], model: Model, fit: Fit
@@ -195,6 +197,13 @@ class Refitting:
                 else ""
             )
         return bool(self.left_out[effect.key])
+
+
+def _is_plausible(at: Weighted, found: Candidate) -> bool:
+    """False of an effect below its least size, and of a stop that is no stop."""
+    effect = found.effect
+    size = found.fit.values[found.names[0]] - effect.parameters[0].start
+    return abs(size) >= effect.constants.get("least", 0.0) and not is_soft_stop(at, found)
 
 
 def is_dead_time(effect: Effect) -> bool:
