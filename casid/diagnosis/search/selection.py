@@ -167,9 +167,13 @@ class _Selection:
             at = weighing.weigh(best.model, fit, rounds=1)
             if weighing.takes_disturbances:
                 # Under the disturbance, unless the simulation by itself then goes astray.
-                why = why_much_worse(self.fit, at.fit, self.split)
-                fit = fit if why else at.fit
-                why = why and why_much_worse(self.fit, fit, self.split)
+                if why_much_worse(self.fit, at.fit, self.split):
+                    old, new = (
+                        simulation_errors(f, self.split, self.units) for f in (self.fit, fit)
+                    )
+                    why = why_not_adopted(old, new)
+                else:
+                    fit = at.fit
         if not why:
             self.errors, self.fit, self.at = errors, fit, at
             self.adopted += news

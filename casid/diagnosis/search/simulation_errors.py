@@ -152,16 +152,32 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
     """Why an extension that was found under a disturbance is refused, or an empty text.
 
     The disturbance is most of the error of a simulation, with the effect or without: it may grow by
-    chance, but not by more than `JUDGING.by_disturbance`.
+    chance, but not by more than `JUDGING.by_disturbance`, in neither part. Where a disturbance
+    slower than the model counts for nothing, the simulation may leave what was measured.
     """
     units = before.criterion.weights
-    old, new = (
-        float(np.nansum((held_out_error(f, split) / f.criterion.weights * units) ** 2))
-        for f in (before, after)
-    )
-    if not new <= (1 + JUDGING.by_disturbance) ** 2 * old:
-        return "it makes the held-out error much worse"
+    parts = [(_fitted_error(f, split, units), _held_out(f, split, units)) for f in (before, after)]
+    for old, new, part in zip(*parts, ("fitted", "held-out"), strict=True):
+        squares = [float(np.nansum(e**2)) for e in (old, new)]
+        if not squares[1] <= (1 + JUDGING.by_disturbance) ** 2 * squares[0]:
+            return f"it makes the {part} error much worse"
     return ""
+
+
+def _fitted_error(fit: Fit, split: Split, units: Array) -> Array:
+    """(M, ny) of the part that was fitted, in `units`."""
+    runs = [whole_simulation(fit, split, e) for e in range(len(split.held))]
+    return np.concatenate(
+        [
+            _errors(d, y, units, None, e)[~held]
+            for e, (held, (d, y, _)) in enumerate(zip(split.held, runs, strict=True))
+        ]
+    )
+
+
+def _held_out(fit: Fit, split: Split, units: Array) -> Array:
+    """(M, ny) of what was held out, in `units`."""
+    return held_out_error(fit, split) / fit.criterion.weights * units
 
 
 def why_held_out(

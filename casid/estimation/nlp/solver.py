@@ -106,6 +106,19 @@ def descending(solver: Solver | None) -> Solver | None:
     return replace(chosen, options={**chosen.options, _WATCHDOG: 0})
 
 
+def quasi_newton(solver: Solver | None) -> Solver | None:
+    """The same with a curvature learned from gradients (BFGS), None where one was chosen.
+
+    Where two solutions of a model meet, as two time constants that may be exchanged become equal,
+    the matrix of Gauss and Newton is singular at the minimum and its steps do not end there.
+    """
+    chosen = solver or Solver()
+    if chosen.name != "ipopt" or _HESSIAN in chosen.options:
+        return None
+    return replace(chosen, options={**chosen.options, _HESSIAN: "limited-memory"})
+
+
+_HESSIAN = "ipopt.hessian_approximation"
 _WATCHDOG = "ipopt.watchdog_shortened_iter_trigger"
 
 

@@ -14,7 +14,7 @@ from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveE
 from casid.estimation.local_rank import describe_null, rank_of
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
-from casid.estimation.nlp.solver import Solver, descending
+from casid.estimation.nlp.solver import Solver, descending, quasi_newton
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 from casid.time_limit import require_time, seconds_left
@@ -122,6 +122,13 @@ def minimize_simulation_error(
             # The natural scales of a far start are wrong at the end: once more from there.
             with suppress(SolveError):
                 solution = _solved(nlp, criterion, solver, solution.x)
+            other = quasi_newton(solver)
+            if not solution.is_converged and other is not None and seconds_left() > 0.0:
+                with suppress(SolveError):
+                    by_gradients = _solved(nlp, criterion, other, solution.x)
+                    solution = min(
+                        solution, by_gradients, key=lambda s: (not s.is_converged, s.value)
+                    )
         solutions.append(solution)
     if not solutions:
         require_time(f"the fit of {criterion.model.name}")

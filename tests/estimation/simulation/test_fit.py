@@ -133,3 +133,28 @@ def test_an_end_above_where_the_search_began_is_sought_again_without_steps_that_
     assert [s is not None and descending(s) is None for s in solvers] == [False, True]
     assert fit.solution.is_converged
     assert fit.values["k"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_fit_ends_where_two_solutions_meet():
+    """Two equal capacitors on a ladder of R1 and R2: tau_1 tau_2 = C^2 R1 R2 and tau_1 + tau_2 =
+    C (2 R1 + R2), the same for R1 and R2 / 2 exchanged. A step response with two equal time
+    constants, closer than any ladder's, is met best where both solutions meet, at R2 = 2 R1; the
+    matrix of Gauss and Newton is singular there.
+    """
+    m = casid.Model("ladder")
+    u = m.input("u", "V", hold="zoh", known=True)
+    first, second = (m.state(name, "V", initial=0.0) for name in ("v_1", "v_2"))
+    C = m.constant("C", 1.0, "mF")
+    R1, R2 = (
+        m.parameter(name, "kohm", start=start, lower=1e-3)
+        for name, start in (("R1", 0.3), ("R2", 2.0))
+    )
+    m.balance(first, "node 1", inertia=C, terms=[(u - first) / R1, -(first - second) / R2])
+    m.balance(second, "node 2", inertia=C, terms=[(first - second) / R2])
+    m.output("y", second, "V")
+    t = 0.05 * np.arange(400)
+    y = 1 - (1 + t) * np.exp(-t) + 1e-3 * np.random.default_rng(1).standard_normal(400)
+    record = casid.Record({"u": np.ones(400), "y": y}, {"u": "V", "y": "V"}, Ts=0.05)
+    found = casid.identify(casid.Problem("ladder", m), record, settings=casid.FitSettings(starts=1))
+    assert found["R2"] == pytest.approx(2 * found["R1"], rel=1e-3)
+    assert "not separately identifiable" in str(found)
