@@ -38,7 +38,6 @@ class Sufficiency:
         _SUFFICIENCY,
     )
     clip: float = _is(4.0, "robust standard deviations at which outliers are cut off", _SUFFICIENCY)
-    shortest: int = _is(40, "samples below which no channel is called noise", _SUFFICIENCY)
     lags_outside: int = _is(
         4,
         "of 20 lags outside their 95 % bounds, beyond which a channel is coloured",

@@ -116,6 +116,10 @@ def autocorrelation(residual: Array, lags: int) -> Array:
     return np.asarray(gamma[1:] / max(float(gamma[0]), TINY))
 
 
+FEWEST_FOR_WHITENESS = 40
+"""Samples below which nothing is called white: of 16, four unknowns alone take a quarter."""
+
+
 def whiteness(residual: Array, lags: int = 20) -> int:
     """How many of the first `lags` autocorrelations lie outside the 95 % band of white noise."""
     lags = min(lags, len(residual) - 2)

@@ -192,6 +192,9 @@ Measure = Mapping[str, Mapping[str, float]]  # record -> output -> number
 INCOMPLETE = "autocorrelated: model or noise model incomplete"
 """Remark on residuals with more than three of 20 lags outside the 95 % band of white noise."""
 
+TOO_FEW = "too few samples to tell"
+"""Remark on residuals in which a model that is wrong need not show."""
+
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
@@ -206,6 +209,11 @@ class Agreement:
     def coloured(self) -> dict[str, str]:
         """Outputs whose residual should be white and is not, with the lags outside the band."""
         return {k: v for k, v in self.autocorrelated.items() if INCOMPLETE in self.whiteness[k]}
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Outputs with too few samples to tell whether their residual is white."""
+        return tuple(k for k, v in self.whiteness.items() if TOO_FEW in v)
 
     @property
     def autocorrelated(self) -> dict[str, str]:

@@ -10,9 +10,10 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
-from casid.estimation.covariance import sandwich, whiteness
+from casid.estimation.covariance import FEWEST_FOR_WHITENESS, sandwich, whiteness
 from casid.estimation.estimate import (
     INCOMPLETE,
+    TOO_FEW,
     Agreement,
     Estimate,
     Estimated,
@@ -185,9 +186,11 @@ class EstimateBuilder:
         self, where: str, residual: Array, what: str = "whiteness", remark: str = INCOMPLETE
     ) -> None:
         """How many of the first 20 autocorrelations of a residual lie outside the 95 % band."""
-        outside = whiteness(residual)
-        self._whiteness[where] = f"{what}: {outside} of 20 lags outside 95 %" + (
-            f" ({remark})" if remark and outside > 3 else ""
+        outside, lags = whiteness(residual), min(20, len(residual) - 2)
+        if outside <= 3:
+            remark = TOO_FEW if len(residual) < FEWEST_FOR_WHITENESS else ""
+        self._whiteness[where] = f"{what}: {outside} of {lags} lags outside 95 %" + (
+            f" ({remark})" if remark else ""
         )
 
     def build(

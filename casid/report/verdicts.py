@@ -132,6 +132,12 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
             "for the rest.",
             "Compare the error with the noise of the sensors, as casid diagnose does.",
         )
+    if e.fit.untold:
+        yield (
+            f"{', '.join(e.fit.untold)}: too few samples to tell whether the rest is noise. The "
+            "error bars hold only if the model is right.",
+            "Record more samples, or compare the estimates of several records.",
+        )
     bound = [p.name for p in e.parameters if "bound" in p.note]
     if bound:
         yield (

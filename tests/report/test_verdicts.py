@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from casid.estimation.estimate import Agreement, Identifiability
+from casid.estimation.estimate import TOO_FEW, Agreement, Identifiability
 from casid.model.quantities import (
     growth_text,
     quantity_text,
@@ -69,6 +69,16 @@ def test_a_residual_that_may_be_autocorrelated_is_not_called_white():
     assert judged.look == "adequate"
     assert "autocorrelated, for which the error bars allow" in judged.sentence
     assert "white" not in judged.sentence
+
+
+def test_of_few_samples_nobody_says_that_their_residual_is_white():
+    """Sixteen readings of a cooling cup leave a curve that is not autocorrelated enough to show."""
+    said = {"cup": f"whiteness: 0 of 14 lags outside 95 % ({TOO_FEW})"}
+    judged = judged_estimate(replace(good(), fit=Agreement(good().rmse, good().nrmse_fit, said)))
+    assert judged.word == "use with care"
+    assert "cup: too few samples to tell whether the rest is noise" in judged.sentence
+    assert "white noise" not in judged.sentence
+    assert "several records" in judged.advice
 
 
 def determined_to(relative: float, start: float = 1.0):

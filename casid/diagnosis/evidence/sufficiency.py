@@ -17,7 +17,7 @@ from casid.arrays import TINY
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import SUFFICIENCY
-from casid.estimation.covariance import whiteness
+from casid.estimation.covariance import FEWEST_FOR_WHITENESS, whiteness
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split
@@ -100,11 +100,12 @@ def _is_noise(e: Experiment, output: str, inputs: Sequence[str], tests: int) -> 
     spread = 1.4826 * float(np.nanmedian(np.abs(y)))  # of normal noise
     y = np.clip(y, *(SUFFICIENCY.clip * spread * np.array([-1.0, 1.0])))
     y = np.nan_to_num(y - np.nanmean(y))
-    if y.size < SUFFICIENCY.shortest:
+    read = y[~e.record.is_missing(output)]  # in order: most of an uneven clock's grid is empty
+    if read.size < FEWEST_FOR_WHITENESS:
         return False
     if not np.any(y):
         return True
-    if whiteness(y) > SUFFICIENCY.lags_outside:
+    if whiteness(read) > SUFFICIENCY.lags_outside:
         return False
     lags = min(int(SUFFICIENCY.lag_share * y.size), SUFFICIENCY.lags)
     bound = float(norm.isf(0.5 * SUFFICIENCY.alpha / (lags * max(len(inputs), 1) * tests)))

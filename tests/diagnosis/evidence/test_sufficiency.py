@@ -252,3 +252,16 @@ def test_a_fit_beside_its_minimum_is_no_reason_where_the_fit_under_the_noise_rea
     assert "was not fitted to its minimum" in why_doubtful(
         beside, dataclasses.replace(start, fit=beside), small
     )
+
+
+@pytest.mark.parametrize("readings", [16, 60])
+def test_a_curve_that_is_read_here_and_there_is_no_noise(readings):
+    """An uneven clock leaves most samples of its grid empty; the readings in their order count."""
+    problem, record = roll_decay.problem, roll_decay.simulate(duration=30.0)
+    (name,) = problem.model.outputs
+    missing = np.ones(record.N, dtype=bool)
+    missing[np.random.default_rng(1).choice(record.N // 2, readings, replace=False)] = False
+    curve = np.exp(-np.arange(record.N) / record.N)
+    scattered = dataclasses.replace(with_channels(record, **{name: curve}), missing={name: missing})
+    split = split_records([problem.experiment(scattered)], 0.0)
+    assert why_uninformative(problem.model, split) == ""
