@@ -84,7 +84,10 @@ _USELESS = "the numbers mean little"
 _DOUBTFUL = "the error bars do not contain every error"
 _IMPRECISE = "the error bars are large"
 _GOOD = "no test contradicts the estimates"
-_CONFIRM = "Confirm the model on a record of its own (--hold-out FILE) before you rely on it."
+_CONFIRM = (
+    "Confirm the model on a record of its own (--hold-out FILE) before you rely on it, and run "
+    "casid diagnose: what is missing need not colour the residual."
+)
 
 
 def _spoilt(e: Estimate) -> Iterator[tuple[str, str]]:

@@ -36,7 +36,7 @@ from casid.model.effects.friction_effects import (
     stribeck_friction,
 )
 from casid.model.effects.parameter_effects import (
-    flow_schedules_of,
+    input_schedules_of,
     is_constant_term,
     jump_times,
     parameter_drift,
@@ -243,5 +243,5 @@ def _parameter_variations(
             if not is_constant_term(model, name):
                 yield scheduled_parameter(model, name, c, recorded[c], spread)
     yield from clock_effects_of(model, sizes.window)
-    yield from flow_schedules_of(model, sizes)
+    yield from input_schedules_of(model, sizes)
     yield from state_schedules_of(model, sizes)

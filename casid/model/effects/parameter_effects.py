@@ -186,7 +186,7 @@ def is_constant_term(model: Model, name: str) -> bool:
 
 def _of_gains(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
     """The rate of its balance and those of bodies, for a parameter that multiplies an input."""
-    inputs = [model.symbol(n) for n, e in model.inputs.items() if e.kind in ("known", "measured")]
+    inputs = [model.symbol(n) for n in _read_inputs(model)]
     shape = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), symbol)
     if len(inside) != 1 or not any(any(ca.which_depends(shape, u)) for u in inputs):
         return []
@@ -199,26 +199,43 @@ def _divides(side: Any, symbol: Any) -> bool:
     return bool(slope.nnz()) and is_zero(slope * symbol + side)
 
 
-def flow_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Parameters of balances of heat or matter, with the inputs that carry their states along.
+def input_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Parameters that depend on an input of the model, where a law of physics has them do so.
 
-    A transfer coefficient depends on the flow past it: an input by which a state is multiplied.
+    Parameters of balances of heat or matter, with the inputs that carry their states along: a
+    transfer coefficient depends on the flow past it. The gain of an input, with the others: what a
+    heat pump makes of its power depends on the temperature outside.
     """
+    pairs = dict.fromkeys((*_with_flows(model), *_gains_with_other_inputs(model)))
+    for name, channel in pairs:
+        low, high = sizes.readings.get(channel, (0.0, 0.0))
+        if low < high:
+            spread = Spread(0.5 * (low + high), low, high)
+            yield scheduled_parameter(model, name, channel, model.inputs[channel].unit, spread)
+
+
+def _with_flows(model: Model) -> Iterator[tuple[str, str]]:
+    states = ca.vertcat(*[model.symbol(s) for s in model.states])
     for b in model.balances.values():
-        side = b.total
-        if is_mechanical(b.unit):
-            continue
-        carried = ca.jacobian(side, ca.vertcat(*[model.symbol(s) for s in model.states]))
-        for channel, (low, high) in sizes.readings.items():
-            entry = model.inputs.get(channel)
-            if entry is None or entry.kind not in ("measured", "known") or low >= high:
-                continue
-            if not any(ca.which_depends(ca.vec(carried), model.symbol(channel))):
-                continue
-            for name, p in model.parameters.items():
-                if not p.is_known and any(ca.which_depends(side, model.symbol(name))):
-                    spread = Spread(0.5 * (low + high), low, high)
-                    yield scheduled_parameter(model, name, channel, entry.unit, spread)
+        carried = ca.vec(ca.jacobian(b.total, states))
+        for channel in [] if is_mechanical(b.unit) else _read_inputs(model):
+            if any(ca.which_depends(carried, model.symbol(channel))):
+                for name, p in model.parameters.items():
+                    if not p.is_known and any(ca.which_depends(b.total, model.symbol(name))):
+                        yield name, channel
+
+
+def _gains_with_other_inputs(model: Model) -> Iterator[tuple[str, str]]:
+    inputs = _read_inputs(model)
+    for name, p in model.parameters.items():
+        slopes = [ca.jacobian(b.total, model.symbol(name)) for b in model.balances.values()]
+        beside = {s.name() for slope in slopes for s in ca.symvar(slope)}
+        if not p.is_known and beside & {*inputs} and not beside & {*model.states}:
+            yield from ((name, channel) for channel in inputs if channel not in beside)
+
+
+def _read_inputs(model: Model) -> list[str]:
+    return [n for n, entry in model.inputs.items() if entry.kind in ("measured", "known")]
 
 
 def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
@@ -228,8 +245,8 @@ def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
         return []
     outputs = [ca.SX(e) for e, _ in model.outputs.values()]
     seen = [e for e in outputs if any(ca.which_depends(e, symbol))]
-    recorded = {n for n, u in model.inputs.items() if u.kind in ("known", "measured")}
-    return sorted({s.name() for e in seen for s in ca.symvar(e)} & {*model.states, *recorded})
+    felt = {s.name() for e in seen for s in ca.symvar(e)}
+    return sorted(felt & {*model.states, *_read_inputs(model)})
 
 
 def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:

@@ -16,6 +16,7 @@ import pytest
 import casid
 from casid.model.effects.effect import Motion, Sizes
 from casid.model.effects.parameter_effects import (
+    input_schedules_of,
     is_constant_term,
     state_scheduled_parameter,
     state_schedules_of,
@@ -289,3 +290,51 @@ def test_an_inertia_that_falls_straight_keeps_a_share_however_far_it_falls():
     rate = ca.Function("f", [e.x, e.u, e.p], [e.f])
     for current, inductance in ((1.0, 0.1), (2.0, 0.05), (3.5, 0.005), (-3.5, 0.005)):
         assert float(rate(current, 1.0, p)) == pytest.approx(1.0 / inductance)
+
+
+def heat_pump() -> casid.Problem:
+    """A tank of 40 kJ/K that a heat pump of constant efficiency heats."""
+    m = casid.Model("heat pump")
+    T = m.state("T", "degC", start=40.0)
+    outside = m.input("outside", "degC", known=True)
+    power = m.input("power", "W", hold="zoh", known=True)
+    C = m.constant("C", 4.0e4, "J/K")
+    loss = m.parameter("loss", "W/K", start=10.0, lower=0.0)
+    efficiency = m.parameter("efficiency", "1", start=2.0, lower=0.5)
+    m.balance(T, "tank", inertia=C, terms=[efficiency * power, loss * (outside - T)])
+    m.output("tank", T, "degC")
+    return casid.Problem("heat pump", m)
+
+
+def test_the_gain_of_an_input_is_tested_with_every_other_input():
+    """The loss, which multiplies the tank's own temperature too, is no gain of an input."""
+    sizes = Sizes(
+        {}, {}, (0.0, 1.0), 1.0, readings={"outside": (270.0, 285.0), "power": (0.0, 200.0)}
+    )
+    found = [e.where for e in input_schedules_of(heat_pump().model, sizes)]
+    assert found == ["efficiency~outside"]
+
+
+def test_what_a_heat_pump_makes_of_its_power_depends_on_the_temperature_outside():
+    """C T' = 3 (1 + 0.03 (outside - mean)) power - 12 (T - outside), by exact steps of 60 s."""
+    rng, n, h, slope = np.random.default_rng(4), 1500, 60.0, 0.09
+    outside = 5.0 + 6.0 * np.sin(2 * np.pi * np.arange(n + 1) / 700)
+    power = np.repeat(rng.choice([20.0, 80.0, 140.0], n // 15), 15)
+    T, decay = np.empty(n + 1), math.exp(-12.0 * h / 4.0e4)
+    T[0] = 20.0
+    for k in range(n):
+        between = 0.5 * (outside[k] + outside[k + 1])
+        gain = 3.0 + slope * (between - 5.0)
+        final = between + gain * power[k] / 12.0
+        T[k + 1] = final + (T[k] - final) * decay
+    tank = T[:n] + 0.05 * rng.standard_normal(n)
+    data = {"tank": tank + 273.15, "outside": outside[:n] + 273.15, "power": power}
+    record = casid.Record(data, {"tank": "K", "outside": "K", "power": "W"}, Ts=h)
+    found = casid.diagnose(heat_pump(), record, advise=False)
+    assert [(c.kind, c.where) for c in found.causes] == [
+        ("scheduled_parameter", "efficiency~outside")
+    ]
+    (size,) = found.causes[0].parameters
+    assert size.std_error is not None
+    assert abs(size.value - slope) < 3 * size.std_error
+    assert size.std_error < 0.1 * slope
