@@ -475,6 +475,12 @@ class Comparison:
         "units of BIC by which a kind with lower prior plausibility must be better than another",
         POWER_STUDY,
     )
+    memory: float = _is(
+        0.5,
+        "of the merit of hysteresis, above which a law without memory goes first: beside the "
+        "mixture of damping laws of a hull it has 0.7 of it, beside true hysteresis 0.1",
+        f"{TESTS}/search/test_alternatives.py",
+    )
     likely_share: float = _is(
         0.015,
         "the same as a share of the better one's merit, where the noise model absorbs misfit: "
@@ -775,6 +781,12 @@ class Judging:
         0.15,
         "share of the excess misfit left, above which the one cause named is not the cause",
         f"{TESTS}/verdict/test_open_set.py",
+    )
+    lean: float = _is(
+        0.1,
+        "of what all causes explain, at most, that a model without the superfluous ones may lose: "
+        "where it loses more, its fit went astray",
+        f"{TESTS}/search/test_refinement.py",
     )
     practical: float = _is(
         0.02,

@@ -23,6 +23,7 @@ from casid.diagnosis.search.candidates import Candidate, Rival, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.model.effects.effect import HYSTERESIS_SHAPE
 from casid.time_limit import seconds_left
 
 TANGENTS = ("offset", "sensor_bias", "sensor_scale")
@@ -74,6 +75,20 @@ def without_imitations(
     return [
         c for c in found if not is_imitator(c) or _merit_beside(significant, c) > max(lasting, 0.0)
     ]
+
+
+def laws_before_memory(order: Sequence[Candidate]) -> list[Candidate]:
+    """Hysteresis that comes first goes behind the best named law that explains nearly as much.
+
+    A force with memory has the freedom to imitate several laws at once; of itself none explains
+    more than a small part.
+    """
+    if not order or order[0].effect.shape != HYSTERESIS_SHAPE:
+        return list(order)
+    enough = COMPARISON.memory * order[0].merit
+    named = [c for c in order if not is_imitator(c) and c.effect.kind != "unknown"]
+    first = [c for c in named[:1] if c.merit > enough]
+    return [*first, *[c for c in order if c not in first]]
 
 
 def _merit_beside(found: Sequence[Candidate], c: Candidate) -> float:

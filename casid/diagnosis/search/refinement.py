@@ -92,10 +92,10 @@ class Refinement:
             refused.append((c, "the other causes together leave nothing for it to explain"))
             kept.remove(a)
             fit = without
-        if not refused:
-            return found
-        self.search.refused += refused
-        return self._lean(found, kept, fit)
+        lean = self._lean(found, kept, fit) if refused else found
+        if lean is not found:
+            self.search.refused += refused
+        return lean
 
     def exchanged(self, found: Adoption) -> Adoption:
         """With rivals in the place of causes that predict worse."""
@@ -274,6 +274,8 @@ class Refinement:
 
     def _lean(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
         """The model built anew with the effects that are left: no term stays at its null value."""
+        if self._is_astray(found.fit, fit):
+            return found
         inside = [a for a in found.adopted if a.candidate.names[0] in fit.criterion.names]
         if len(inside) == len(found.adopted):
             return self._refined(found, kept, fit)
@@ -286,6 +288,12 @@ class Refinement:
             )
 
         return self._refined(replace(found, remainders=again(found.remainders)), again(kept), fit)
+
+    def _is_astray(self, whole: Fit | None, lean: Fit) -> bool:
+        """True of a fit without some effects that loses what they cannot have explained."""
+        assert whole is not None
+        old, new = (simulation_errors(f, self.split, self.units).square for f in (whole, lean))
+        return not new - old <= JUDGING.lean * (self.before.square - old)
 
     def _refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
         assert fit is not None

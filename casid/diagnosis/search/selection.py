@@ -10,6 +10,7 @@ from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
 from casid.diagnosis.search.alternatives import (
     is_imitator,
+    laws_before_memory,
     near_ones,
     p_value,
     rivals_of,
@@ -28,8 +29,10 @@ from casid.diagnosis.search.simulation_errors import (
 )
 from casid.diagnosis.thresholds import COMPARISON, FRICTION, ROUNDS
 from casid.estimation.holdout import Split, why_worse
+from casid.estimation.local_rank import rank_of
 from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.effect import HYSTERESIS_SHAPE
 
 SHARPNESS = "the sharpness of dry friction"
 
@@ -136,7 +139,8 @@ class _Selection:
         for best in _named_first(at, causes):
             p = p_values[best.effect.key]
             if p < search.alpha and (best.merit > 0 or is_alarm):
-                rivals, near = rivals_of(at, best, found), near_ones(at, best, causes)
+                others = [c for c in found if c is best or c.effect.shape != HYSTERESIS_SHAPE]
+                rivals, near = rivals_of(at, best, others), near_ones(at, best, causes)
                 out.append(Adopted(best, p, rivals, at, is_alarm, near=near))
         return out
 
@@ -162,6 +166,7 @@ class _Selection:
         fit = whole_fit(best.model, self.split, self.settings, self.units, best.fit.values)
         errors = self._errors(best, fit)
         why = why_not_adopted(self.errors, errors, is_alarm=news[0].is_alarm)
+        why = why or _why_undetermined(self.fit, fit, best)
         why = why or why_worse(self.before.continued, errors.continued)
         if not why:
             at = weighing.weigh(best.model, fit, rounds=1)
@@ -276,6 +281,17 @@ class _Selection:
         return True
 
 
+def _why_undetermined(before: Fit, after: Fit, c: Candidate) -> str:
+    """Why the size of an effect is unknown beside the parameters of the model, or an empty text.
+
+    A model that determined all it had then got away from a minimum of its own by another scale.
+    """
+    ranks = [rank_of(f.criterion.variables, f.solution.hessian, f.x) for f in (before, after)]
+    if not ranks[0].is_full or all(c.names[0] not in direction for direction in ranks[1].null):
+        return ""
+    return f"the records do not determine {c.names[0]} beside the parameters of the model"
+
+
 def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
     """By merit; of those that are the same thing in this model, the one named by convention.
 
@@ -300,6 +316,7 @@ def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
             near = abs(order[j - 1].merit - order[j].merit) < likely
             if near and order[j].effect.priority < order[j - 1].effect.priority:
                 order[j - 1], order[j] = order[j], order[j - 1]
+    order = laws_before_memory(order)
     if order and order[0].effect.is_unnamed:
         open_ = {id(r.candidate) for r in rivals_of(at, order[0], order)}
         lasting = [c for c in order if not is_imitator(c)]

@@ -11,18 +11,26 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
-from casid.diagnosis.search.alternatives import near_ones, p_value, without_imitations
+from casid.diagnosis.search.alternatives import (
+    laws_before_memory,
+    near_ones,
+    p_value,
+    without_imitations,
+)
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import COMPARISON
 from casid.model.effects.balance_effects import cubic_damping
 from casid.model.effects.contact_effects import end_stop
 from casid.model.effects.effect import Effect
+from casid.model.effects.friction_effects import hysteresis
 from casid.model.effects.parameter_effects import parameter_jump
 from problems import roll_decay
 
 MODEL = roll_decay.decay_model()
 LAW = cubic_damping(MODEL, "torque")
 JUMP = parameter_jump(MODEL, "B_1", 20.0)
+HYSTERESIS = hysteresis(MODEL, "torque", 0.05, (0.01, 0.2))
+assert HYSTERESIS is not None
 
 
 def judged(effect: Effect, gain: float, cost: float) -> Candidate:
@@ -39,6 +47,19 @@ def test_a_jump_is_a_cause_if_it_explains_half_as_much_again_as_the_best_law(
     law, jump = judged(LAW, 100.0, 0.0), judged(JUMP, 100.0 * gain, 0.0)
     both = [law, jump]
     assert without_imitations(both, both) == (both if is_cause else [law])
+
+
+@pytest.mark.parametrize(("merit", "goes_first"), [(49.0, False), (51.0, True)])
+def test_a_law_goes_before_hysteresis_that_explains_less_than_twice_as_much(
+    merit: float, goes_first: bool
+) -> None:
+    """Hysteresis has four numbers and a memory to imitate two laws of damping with."""
+    assert COMPARISON.memory == 0.5
+    memory = judged(HYSTERESIS, 100.0, 0.0)
+    jump, law = judged(JUMP, 90.0, 0.0), judged(LAW, merit, 0.0)
+    order = [memory, jump, law]
+    assert laws_before_memory(order) == ([law, memory, jump] if goes_first else order)
+    assert laws_before_memory([law, memory]) == [law, memory]
 
 
 def test_beside_laws_that_explain_nothing_a_jump_has_to_pay_for_itself_alone() -> None:

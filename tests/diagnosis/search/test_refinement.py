@@ -190,3 +190,18 @@ def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it(
     causes = ["offset", "coulomb_friction"] if carried < 1.0 else ["offset"]
     assert [a.candidate.effect.kind for a in found.adopted] == causes
     assert len(found.remainders) == 2 - len(causes)
+
+
+def test_a_leaner_model_whose_fit_went_astray_is_not_taken():
+    """Without the hardening nearly everything is lost; without a drag too small to matter nothing.
+
+    Which of the two a step of the refinement takes out, the error alone tells.
+    """
+    of = refinement(0.002)
+    first = hardening(of)
+    second = beside(of, first, quadratic_damping(first.model, "torque"), 0.002)
+    found = adopted(of, first, second)
+    assert found.fit is not None
+    assert not of._is_astray(found.fit, first.fit)
+    assert of._is_astray(found.fit, of.start.fit)
+    assert of._lean(found, found.adopted[1:], of.start.fit) is found

@@ -1,0 +1,56 @@
+"""An effect whose size the records do not determine beside the model's parameters is no cause."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import casid
+from casid.diagnosis.search.selection import _why_undetermined
+from casid.estimation.simulation.fit import fit_model
+from casid.model.effects.balance_effects import cubic_stiffness
+from casid.model.effects.channel_effects import sensor_scale
+
+
+def mass() -> casid.Model:
+    """A mass on a spring and a damper under a force that is known."""
+    m = casid.Model("mass")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    F = m.input("F", "N", known=True)
+    M, d, k = (
+        m.parameter(name, unit, start=start, lower=0.01)
+        for name, unit, start in (("M", "kg", 2.0), ("d", "N s/m", 1.0), ("k", "N/m", 50.0))
+    )
+    m.derivative(x, v)
+    m.balance(v, "forces", inertia=M, terms=[F, -d * v, -k * x])
+    m.output("position", x, "m")
+    return m
+
+
+@pytest.mark.parametrize(
+    ("effect", "says"),
+    [
+        (sensor_scale(mass(), "position"), "do not determine scale_position beside the parameters"),
+        (cubic_stiffness(mass(), "forces"), ""),
+    ],
+)
+def test_a_gain_of_the_only_sensor_is_another_mass_damper_and_spring(effect, says):
+    """With a force that is known, (M, d, k) times 1 + s do what a gain of 1 + s does."""
+    rng, h = np.random.default_rng(3), 0.002
+    F = np.repeat(rng.standard_normal(60), 10)
+    x, v, path = 0.0, 0.0, np.empty(600)
+    for i in range(600):
+        path[i] = x
+        for _ in range(10):
+            v += h * (F[i] - 1.2 * v - 60.0 * x) / 1.5
+            x += h * v
+    path += 1e-4 * rng.standard_normal(600)
+    record = casid.Record({"F": F, "position": path}, {"F": "N", "position": "m"}, Ts=0.02)
+    model, names = effect.extended(mass())
+    once = casid.FitSettings(starts=1)
+    data = [casid.Experiment(record, {}, "r")]
+    fits = [fit_model(m, data, once, check_rank=False, throw=False) for m in (mass(), model)]
+    assert says in _why_undetermined(*fits, SimpleNamespace(names=names))
+    assert bool(says) == bool(_why_undetermined(*fits, SimpleNamespace(names=names)))
