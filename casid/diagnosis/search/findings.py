@@ -15,6 +15,7 @@ from casid.diagnosis.search.reconsideration import reconsidered
 from casid.diagnosis.search.record_specific import Specific, record_specific
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
+from casid.diagnosis.search.simulation_errors import Soundness
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.simulation.fit import weighted_by_errors
@@ -79,25 +80,29 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         what, lambda: weighed_against_disturbances(search, before, baseline, settings)
     ) or (search, start, found)
     baseline = replace(baseline, start=start)
+    is_sound = Soundness(fit, split)
+    if found.fit is not None and not is_sound(found.fit):
+        why = "its simulation is worse than that of the model as it is"
+        search.refused += [(a.candidate, why) for a in found.adopted]
+        found = replace(found, adopted=(), at=start, fit=None)
     adopted, at, extended = list(found.adopted), found.at, found.fit
     if extended is not None and extended.criterion.whiten is None:
         whole = extended
         reweighted = search.attempts.attempt(
             "the last fit of the extended model", lambda: weighted_by_errors(whole, settings.fit)
         )
-        extended = reweighted or extended
+        extended = reweighted if reweighted is not None and is_sound(reweighted) else extended
     if not adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
     adopted = reconsidered(search, adopted, start, at)
     once = replace(settings.fit, starts=1)
     named = replace(found, adopted=tuple(adopted), at=at, fit=extended)
-    named = (
-        search.attempts.attempt(
-            "the exchange of causes for likelier rivals",
-            lambda: with_likelier_rivals(search, named, start, split, once),
-        )
-        or named
+    likelier = search.attempts.attempt(
+        "the exchange of causes for likelier rivals",
+        lambda: with_likelier_rivals(search, named, start, split, once),
     )
+    if likelier is not None and (likelier.fit is None or is_sound(likelier.fit)):
+        named = likelier
     adopted, at, extended = list(named.adopted), named.at, named.fit
     specific: tuple[Specific, ...] = ()
     if extended is not None and extended.criterion.whiten is None and len(split.fitted) > 1:
@@ -111,7 +116,12 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
     extended = extended or negated_fit
     corrected = _corrected(search, problem, extended or fit, settings)
     if extended is not None and corrected is not None:
-        extended = corrected.fit
+        if is_sound(corrected.fit):
+            extended = corrected.fit
+        else:
+            corrected = None
+    named_in_the_end = {a.candidate.effect.key for a in adopted}
+    search.refused = [r for r in search.refused if r[0].effect.key not in named_in_the_end]
     return Findings(
         baseline,
         search,

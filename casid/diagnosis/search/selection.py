@@ -23,6 +23,7 @@ from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
+    Soundness,
     simulation_errors,
     why_much_worse,
     why_not_adopted,
@@ -61,6 +62,7 @@ def adopt_causes(
     # A cause matters by what it explains in units of the error that all causes leave.
     what = "the fit of the extended model in units of its errors"
     fit = attempt(what, partial(weighted_by_errors, state.fit, once)) or state.fit
+    fit = fit if Soundness(base_fit, split)(fit) else state.fit
     units = fit.criterion.weights
     found, errors = replace(found, fit=fit), simulation_errors(base_fit, split, units)
     refine = Refinement(search, split, once, units, at, errors)

@@ -15,6 +15,7 @@ from scipy.stats import f as f_distribution
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.thresholds import FORESIGHT, JUDGING, ROUNDS
+from casid.errors import SolveError
 from casid.estimation.holdout import (
     Split,
     degrees_of_freedom,
@@ -127,6 +128,30 @@ def why_not_adopted(
     return why_held_out(before, after, is_alarm=is_alarm, room=room)
 
 
+class Soundness:
+    """Whether a model simulates all that was measured, no worse than the model as it is.
+
+    Every step of the search takes care of that by itself; after the last one it is made sure. The
+    error of the fitted part may grow by `JUDGING.by_disturbance`, as under a disturbance.
+    """
+
+    def __init__(self, base: Fit, split: Split) -> None:
+        self._split, self._units = split, base.criterion.weights
+        self._most = (1 + JUDGING.by_disturbance) ** 2 * self._errors(base).square
+
+    def _errors(self, fit: Fit) -> SimulationErrors:
+        return simulation_errors(fit, self._split, self._units)
+
+    def __call__(self, fit: Fit) -> bool:
+        """False also of a simulation that diverges."""
+        try:
+            errors = self._errors(fit)
+        except SolveError:
+            return False
+        is_finite = np.isfinite(errors.held_out_square)
+        return bool(is_finite and errors.square <= self._most)
+
+
 def is_predicted(before: SimulationErrors, after: SimulationErrors) -> bool:
     """True if an extension takes most of every held-out error away, by more than chance.
 
@@ -177,7 +202,7 @@ def _fitted_error(fit: Fit, split: Split, units: Array) -> Array:
 
 def _held_out(fit: Fit, split: Split, units: Array) -> Array:
     """(M, ny) of what was held out, in `units`."""
-    return held_out_error(fit, split) / fit.criterion.weights * units
+    return np.asarray(held_out_error(fit, split) / fit.criterion.weights * units)
 
 
 def why_held_out(

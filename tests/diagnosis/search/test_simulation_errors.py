@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import functools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import casid
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
+    Soundness,
     is_predicted,
+    why_much_worse,
     why_not_adopted,
 )
 from casid.diagnosis.thresholds import FORESIGHT, ROUNDS
-from casid.estimation.holdout import degrees_of_freedom
+from casid.estimation.holdout import Split, degrees_of_freedom, split_records
+from casid.estimation.simulation.fit import fit_model
+from casid.estimation.simulation.minimization import Fit
+from problems import roll_decay
 
 N = 400
 RNG = np.random.default_rng(3)
@@ -109,3 +118,34 @@ def test_one_slow_wave_in_what_was_held_out_is_too_little_to_refuse_a_disturbanc
     after = SimulationErrors(*(np.sqrt(0.1) * e for e in (slow, slow, slow)))
     assert degrees_of_freedom(slow) < 4.0
     assert not is_predicted(before, after)
+
+
+@functools.cache
+def decay() -> tuple[Fit, Split]:
+    """A linear decay with noise, and its fit."""
+    record = roll_decay.simulate(duration=60.0, B_2=0.0, C_3=0.0).decimate(5)
+    split = split_records([casid.Experiment(record)], 0.3)
+    return fit_model(roll_decay.decay_model(), split.fitted, casid.FitSettings(starts=1)), split
+
+
+def moved(**shares: float) -> Fit:
+    """The fit with some of its values times a factor."""
+    fit, _ = decay()
+    factors = np.array([shares.get(name, 1.0) for name in fit.criterion.names])
+    return replace(fit, solution=replace(fit.solution, x=fit.x * factors))
+
+
+def test_a_model_that_simulates_worse_than_the_one_it_extends_is_not_sound():
+    """A stiffness that is 2 % off shifts the swing by half a period within the record."""
+    fit, split = decay()
+    is_sound = Soundness(fit, split)
+    assert is_sound(fit)
+    assert is_sound(moved(C_1=1 + 1e-6))
+    assert not is_sound(moved(C_1=1.02))
+    assert not is_sound(moved(B_1=-1e4))  # diverges
+
+
+def test_under_a_disturbance_neither_part_may_be_simulated_much_worse():
+    fit, split = decay()
+    assert why_much_worse(fit, moved(C_1=1 + 1e-6), split) == ""
+    assert why_much_worse(fit, moved(C_1=1.02), split) == "it makes the fitted error much worse"
