@@ -222,7 +222,10 @@ class Prewhitening:
         15.0, "samples of delay that are sought at most, where the model is faster", POWER_STUDY
     )
     delay_share: float = _is(
-        0.02, "of the record, beyond which no delay is sought in any case", POWER_STUDY
+        0.1,
+        "of the record, beyond which no delay is sought in any case: of one step, recorded until "
+        "it has settled, a sensor may be late by a twentieth",
+        f"{TESTS}/search/test_dead_times.py",
     )
     trial: float = _is(
         0.01,
@@ -605,6 +608,12 @@ class Rounds:
 
     shortlist: int = _is(6, "kinds refitted, by robust p and by plain score each", POWER_STUDY)
     unnamed: int = _is(4, "neighbours without a name beside them, of each order", POWER_STUDY)
+    timed: int = _is(
+        4,
+        "effects at an instant beside them, of each order: a jump of one parameter is nearly one "
+        "of any other",
+        f"{TESTS}/search/test_shortlist.py",
+    )
     rivals: int = _is(4, "rivals of one cause that are refitted in the end", POWER_STUDY)
     pairs: int = _is(
         2,

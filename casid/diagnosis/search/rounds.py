@@ -171,8 +171,9 @@ class Search:
 def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     """The best six kinds by robust p and the best six by unrobust score, one variant each.
 
-    Neighbours without a name come beside them, four of each order: they crowd out nobody. Where the
-    model errs by far more than the noise its scores tell little, and twice as many are refitted.
+    Neighbours without a name come beside them, four of each order, and what happens at an instant,
+    which every parameter may: they crowd out nobody. Where the model errs by far more than the
+    noise its scores tell little, and twice as many are refitted.
     """
     is_far = error_over_noise(at.fit, at.noise) > REFITS.far
     most = ROUNDS.shortlist * (2 if is_far else 1)
@@ -192,9 +193,10 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         sorted(visible, key=lambda s: -s.unrobust),
     ):
         keys = list(dict.fromkeys(s.effect.key for s in order))
-        named = [key for key in keys if key[0] != "unknown"]
+        timed = [key for key in keys if strongest[key].effect.is_on_the_clock]
         unnamed = [key for key in keys if key[0] == "unknown"]
-        for key in (*named[:most], *unnamed[: ROUNDS.unnamed]):
+        lasting = [key for key in keys if key not in timed and key not in unnamed]
+        for key in (*lasting[:most], *timed[: ROUNDS.timed], *unnamed[: ROUNDS.unnamed]):
             chosen.setdefault(key, strongest[key])
     return [*chosen.values(), *_other_falls(visible, chosen)] if is_far else list(chosen.values())
 

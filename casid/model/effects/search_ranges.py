@@ -236,7 +236,7 @@ class Actuators:
 class Ranges:
     """Bounds of what an effect's first parameter may be."""
 
-    actuator_lag: float = _is(0.05, "of the window, the longest lag of an actuator", _STRUCTURE)
+    actuator_lag: float = _is(0.2, "of the window, the longest lag of an actuator", _STRUCTURE)
     dead_time: float = _is(
         0.1,
         "of the window, the longest dead time of an input: as much of every output is left out, as "
