@@ -258,8 +258,16 @@ def extend_all(model: Model, effects: Sequence[Effect]) -> tuple[Model, list[Any
     run-in, and states that nothing feels yet need no sensitivities.
     """
     new, names = model, []
-    for effect in effects:
+    for n, effect in enumerate(effects, 1):
         is_pinned = effect.has_states or effect.kind in _LATE
         new, own = effect.extended(new, upper=0.0 if is_pinned else None)
+        new.name = _name_with(model.name, effects[:n])
         names.append(own[0])
     return new, names
+
+
+def _name_with(name: str, effects: Sequence[Effect]) -> str:
+    """The name of a model with effects: the first few, and how many more."""
+    kinds = [effect.kind for effect in effects]
+    listed, more = kinds[:3], len(kinds[3:])
+    return " + ".join([name, *listed, *([f"{more} more"] if more else [])])
