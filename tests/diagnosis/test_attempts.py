@@ -47,6 +47,11 @@ def test_a_refusal_of_casid_is_passed_on_in_its_own_words():
     assert not attempts.notes()
 
 
+def test_of_many_reasons_the_first_few_are_listed_each_once():
+    attempts = Attempts(failed={f"effect {i}": f"reason {i % 5}" for i in range(100)})
+    assert attempts.reasons() == "reason 0; reason 1; reason 2; and 2 more reasons"
+
+
 @pytest.mark.parametrize("fault", [TypeError, KeyError, KeyboardInterrupt])
 def test_faults_and_interrupts_are_not_taken_for_numbers(fault):
     def fail() -> None:
