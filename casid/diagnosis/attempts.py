@@ -53,6 +53,12 @@ class Attempts:
         """Forget the failures of something that succeeded from another start."""
         self.failed.pop(what, None)
 
+    def reasons(self) -> str:
+        """Why attempts failed, each reason once: the first few, and how many more."""
+        reasons = list(dict.fromkeys(self.failed.values()))
+        more = len(reasons[3:])
+        return "; ".join([*reasons[:3], *([f"and {more} more reasons"] if more else [])])
+
     def notes(self) -> list[str]:
         """What was left out and what was not done, in sentences."""
         found = []

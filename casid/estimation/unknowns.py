@@ -27,6 +27,7 @@ class Variable:
     lower: float
     upper: float
     scale: float
+    is_inner: bool = False  # a state at an inner node of multiple shooting
 
 
 class Unknowns:
@@ -75,6 +76,7 @@ class Unknowns:
         scale: float,
         *,
         clip: bool = False,
+        is_inner: bool = False,
     ) -> int:
         """A new unknown, started where the user says or else at `start`; returns its place.
 
@@ -94,7 +96,8 @@ class Unknowns:
                 f"start {name} = {start:g} lies outside its bounds [{lower:g}, {upper:g}]; "
                 "move the start inside or widen the bounds"
             )
-        self.variables.append(Variable(name, source, float(start), lower, upper, scale))
+        start = float(start)
+        self.variables.append(Variable(name, source, start, lower, upper, scale, is_inner))
         return len(self.variables) - 1
 
     def is_given(self, name: str) -> bool:

@@ -12,8 +12,9 @@ import casadi as ca
 
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import function_of
-from casid.export.naming import checked_path, identifier, identifiers, written_by
+from casid.export.naming import checked_path, identifiers, written_by
 from casid.export.plain_model import PlainModel, expressions, plain_model
+from casid.model.identifiers import identifier
 
 
 def write_c(fitted: FittedModel, path: Path, *, without_delays: bool = False) -> Path:

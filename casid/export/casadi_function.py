@@ -12,8 +12,9 @@ from casid.errors import ModelError, nearest
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.delayed_outputs import delayed
 from casid.export.late_inputs import acting_late
-from casid.export.naming import checked_path, identifier
+from casid.export.naming import checked_path
 from casid.export.plain_model import PlainModel, Symbols, expressions, plain_model
+from casid.model.identifiers import identifier
 
 
 def casadi_function(

@@ -25,8 +25,9 @@ from casid.compiler import compiler, shared_library
 from casid.errors import DataError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.c_code import header, source
-from casid.export.naming import checked_path, identifier, written_by
+from casid.export.naming import checked_path, written_by
 from casid.export.plain_model import PlainModel, plain_model
+from casid.model.identifiers import identifier
 from casid.model.units import unit_quotient
 
 _SOURCES = ("fmi2.c", "model.c")  # compiled; beside them their headers

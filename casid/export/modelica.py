@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.export.naming import checked_path, identifier, identifiers, written_by
+from casid.export.naming import checked_path, identifiers, written_by
 from casid.export.plain_model import PlainModel, plain_model
 from casid.export.written_equations import (
     WrittenBalance,
@@ -28,6 +28,7 @@ from casid.export.written_equations import (
 from casid.model.clock_signals import Always, RampOver, StepAt, TimeSince
 from casid.model.effects.names import effect_words
 from casid.model.formula_text import MODELICA, formula_text, number_text
+from casid.model.identifiers import identifier
 from casid.model.model import Model
 from casid.model.units import unit_powers
 

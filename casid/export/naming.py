@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import keyword
-import re
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Literal
 
 from casid.errors import DataError
+from casid.model.identifiers import identifier
 from casid.versions import versions
 
 Target = Literal["problem", "casadi", "c", "control", "modelica", "fmu"]
@@ -43,13 +43,6 @@ def checked_path(path: Path, target: Target | str) -> Path:
     if not path.parent.is_dir():
         raise DataError(f"{path}: there is no folder {path.parent}; make it, or name another")
     return path
-
-
-def identifier(name: str) -> str:
-    """A name of letters, digits and underscores that begins with a letter: `k1`, `step_at_2_s`."""
-    text = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
-    text = re.sub(r"_{2,}", "_", text)
-    return text if text and text[0].isalpha() else f"s_{text}".rstrip("_")
 
 
 def identifiers(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, str]:

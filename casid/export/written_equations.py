@@ -14,9 +14,9 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import ModelError
-from casid.export.naming import identifier
 from casid.model.clock_signals import Always, RampOver, StepAt, TimeSince
 from casid.model.formula_text import shared_parts
+from casid.model.identifiers import identifier
 from casid.model.model import Model
 
 Expr = Any  # a CasADi SX expression

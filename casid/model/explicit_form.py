@@ -107,11 +107,12 @@ def _pivot_size(symbols: Sequence[Any]) -> Callable[[Any], float]:
     """0 for an entry that vanishes identically; larger for one that is a simpler pivot.
 
     What vanishes leaves rounding errors, which beside a point are others; of an entry that does
-    not, however small its unit makes it, the value there is next to the same.
+    not, however small its unit makes it, the value there is next to the same. The points are so
+    close that an entry which happens to be nearly zero at one of them is no rounding error.
     """
     rng = np.random.default_rng(7)
     points = rng.uniform(0.2, 1.7, (len(symbols), 8))
-    both = ca.DM(np.hstack([points, points * (1 + 1e-7)]))
+    both = ca.DM(np.hstack([points, points * (1 + 1e-10)]))
     together = ca.vertcat(*symbols)
 
     def size(entry: Any) -> float:

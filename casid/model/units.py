@@ -68,8 +68,8 @@ def parse_unit(text: str) -> Unit:
     Raises
     ------
     UnitError
-        For a name outside the list, a name with two readings (`KN`, `nm`, `g`, `M`, `T`), or a
-        quotient that can be read in two ways (`N/m s`).
+        For a name outside the list, a name with two readings (`KN`, `nm`, `g`, `M`, `T`) that does
+        not cancel as in `g/g`, or a quotient that can be read in two ways (`N/m s`).
     """
     if not isinstance(text, str):
         raise UnitError(
@@ -127,7 +127,15 @@ def _terms(text: str) -> _Terms:
         reader.read(token)
     if reader.is_in_brackets or reader.expects_factor:
         raise _malformed(text, cleaned[-1:] or cleaned)
-    return reader.terms
+    return _settled(reader.terms, text)
+
+
+def _settled(terms: _Terms, text: str) -> _Terms:
+    """The factors without names of two readings: those of `g/(g h)` are 1/h by either."""
+    for name in dict.fromkeys(name for name, _ in terms if name in AMBIGUOUS):
+        if sum(power for of, power in terms if of == name) != 0:
+            raise _ambiguous(text, name)
+    return [(name, power) for name, power in terms if name not in AMBIGUOUS]
 
 
 def _with_grams(text: str) -> str:
@@ -177,7 +185,7 @@ class _UnitReader:
                 "product, for example 'N s/m' or 'N/(m s)'."
             )
         exponent = _power(power, self.text) * self._sign
-        known = _lookup(name, self.text)
+        known = name if name in AMBIGUOUS else _lookup(name, self.text)
         if "/" in known or "^" in known:  # aliases such as degps
             self.terms += [(n, p * exponent) for n, p in _terms(known)]
         elif known != "1":
@@ -197,8 +205,6 @@ def _power(text: str | None, unit: str) -> Fraction:
 
 
 def _lookup(name: str, text: str) -> str:
-    if name in AMBIGUOUS:
-        raise _ambiguous(text, name)
     if name in NAMES:
         return name
     if name in ALIASES:

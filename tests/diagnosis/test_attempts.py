@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -44,6 +45,11 @@ def test_a_refusal_of_casid_is_passed_on_in_its_own_words():
     assert attempts.notes() == ["drag was left out: the simulation diverges at t = 3 s"]
     attempts.succeeded("drag")  # from another start
     assert not attempts.notes()
+
+
+def test_of_many_reasons_the_first_few_are_listed_each_once():
+    attempts = Attempts(failed={f"effect {i}": f"reason {i % 5}" for i in range(100)})
+    assert attempts.reasons() == "reason 0; reason 1; reason 2; and 2 more reasons"
 
 
 @pytest.mark.parametrize("fault", [TypeError, KeyError, KeyboardInterrupt])
@@ -96,3 +102,45 @@ def test_an_effect_that_the_model_has_no_solution_with_leaves_the_others_to_be_t
     assert found.causes[0].kind == "quadratic_damping"
     (note,) = [n for n in found.notes if "was left out" in n]
     assert "an inertia must not be zero" in note
+
+
+def without_an_inertia_beside_another(model, names):
+    if len({n for n in model.parameters if n.startswith("pair")}) > 1:
+        balance = model.balances["torque"]
+        model.balances["torque"] = replace(balance, inertia=0 * balance.inertia)
+
+
+def overflowing(model, names):
+    model.add_term("torque", 1e200 * model.symbol(names[0]))
+
+
+def of_a_logarithm(model, names):
+    model.add_term("torque", model.symbol(names[0]) * ca.log(model.symbol("phi") - 10.0))
+
+
+@pytest.mark.parametrize(
+    ("effects", "reason"),
+    [
+        pytest.param([without_an_inertia_beside_another] * 2, "inertia must not be zero", id="two"),
+        pytest.param([overflowing], "its sensitivities overflow", id="overflow"),
+        pytest.param([of_a_logarithm], "", id="not a number"),
+    ],
+)
+def test_one_effect_that_fails_beside_the_others_is_left_out_alone(effects, reason, monkeypatch):
+    """Two effects that break the model together alone, and effects that break its simulation."""
+    record = roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
+    own = [
+        Effect(f"user {i}", "torque", (Parameter(f"pair{i}", "1", 0.0),), apply)
+        for i, apply in enumerate(effects)
+    ]
+
+    def with_them(*arguments, **options):
+        return [*catalogue(*arguments, **options), *own]
+
+    monkeypatch.setattr(rounds, "catalogue", with_them)
+    found = casid.diagnose(roll_decay.problem, record, advise=False, max_causes=1)
+    assert found.causes[0].kind == "quadratic_damping"
+    (note,) = [n for n in found.notes if "was left out" in n]
+    assert note.startswith(f"user {len(own) - 1}")
+    assert reason in note
+    assert len(note) < 300

@@ -107,6 +107,14 @@ def test_a_name_with_two_readings_is_refused_with_the_choice_named(text, choices
     assert "Write which" in str(caught.value)
 
 
+@pytest.mark.parametrize(("text", "si"), [("g/g", "1"), ("g/(g h)", "1/h"), ("T/T", "1")])
+def test_a_name_with_two_readings_that_cancels_is_the_same_by_either(text, si):
+    assert same_dimension(text, si)
+    assert to_si(1.0, text) == to_si(1.0, si)
+    with pytest.raises(UnitError, match="ambiguous"):
+        parse_unit(f"{text.replace('/', '^2/')}")
+
+
 @pytest.mark.parametrize(
     ("text", "factor", "si"),
     [("nanometre", 1e-9, "m"), ("nanometers", 1e-9, "m"), ("millisiemens", 1e-3, "siemens"),

@@ -72,6 +72,7 @@ class ScoreTable:
     lags: int
     family: Family
     peaks: tuple[Score, ...] = ()  # lines of the residual's spectrum, tested beside the scores
+    overflowing: tuple[Effect, ...] = ()  # not tested: their sensitivities overflow
 
     @property
     def tested(self) -> tuple[Score, ...]:
@@ -146,6 +147,7 @@ class _Projected:
     gram: Array  # (K, K) of the projected signatures
     covariance: Array  # (K, K) of z
     visible: Array  # (K,) bool
+    finite: Array  # (K,) bool: its sensitivities do not overflow
     lags: int
     n: int  # samples
 
@@ -154,7 +156,7 @@ class _Projected:
         k, both = list(order), np.ix_(order, order)
         return _Projected(
             *(self.z[k], self.left[k], self.size[k], self.gram[both], self.covariance[both]),
-            *(self.visible[k], self.lags, self.n),
+            *(self.visible[k], self.finite[k], self.lags, self.n),
         )
 
 
@@ -174,12 +176,10 @@ def _projected(name: str, columns: Columns, input_sd: Mapping[str, float], seed:
     parts.clear()
     # Signatures are as long as all records: they are scaled and projected where they are.
     size = np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
+    finite = np.isfinite(size)
+    rest[:, ~finite], size[~finite] = 0.0, 1.0
     rest /= size
-    if not np.all(np.isfinite(tangent)):
-        raise SolveError(
-            f"{name}: its sensitivities overflow; no effect can be tested. Shorten the "
-            "window, or change the parameters that make it grow"
-        )
+    _require_finite(name, tangent, e)
     # Columns of T may be nearly dependent: project by an orthonormal basis.
     t_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", tangent, tangent), TINY))
     tangent /= t_size
@@ -202,12 +202,13 @@ def _projected(name: str, columns: Columns, input_sd: Mapping[str, float], seed:
         moved, turned, given = (_joined([d[i] for d in drawn]) for i in range(3))
         drawn.clear()
         given /= size
+        given[:, ~(finite & np.isfinite(given).all(axis=0))] = 0.0
         _take_out(given, turned / t_size, gamma)
         given = np.einsum("kij,ki->kj", given.reshape(-1, ny, len(size)), moved.reshape(-1, ny))
         z -= given.sum(axis=0)
         # One draw is as far from its mean as chance has it: that is uncertainty, too.
         covariance = covariance + long_run_covariance(given, lags)
-    return _Projected(z, left, size, rest.T @ rest, covariance, visible, lags, n)
+    return _Projected(z, left, size, rest.T @ rest, covariance, visible, finite, lags, n)
 
 
 def score_test(
@@ -246,9 +247,11 @@ def scores_of(
     criterion : of the model without the effects.
     draws : 0: the family's p is Bonferroni's bound.
     """
-    effects = columns.effects
     both = _projected(criterion.model.name, columns, input_sd, seed)
-    at = both.taken(columns.judged)
+    judged = columns.judged
+    kept = [j for j in range(len(judged)) if both.finite[j] and both.finite[judged[j]]]
+    effects = [columns.effects[j] for j in kept]
+    at = both.taken([judged[j] for j in kept])
     z, left, size, visible = at.z, at.left, at.size, at.visible
     sd_z = np.sqrt(np.maximum(np.diag(at.covariance), TINY))
     possible = _between_samples(criterion, effects, np.abs(at.gram) * size)
@@ -262,7 +265,7 @@ def scores_of(
     p = np.where(visible, np.clip(p, TINY, 1.0), 1.0)
     family = _family_of(at.covariance, visible, one, freedom, draws, seed)
     adjusted = np.where(visible, [family(float(each)) for each in p], 1.0)
-    plain = both.taken(range(len(effects)))
+    plain = both.taken(kept)
     norms = np.sqrt(np.maximum(plain.left, TINY))
     scores = tuple(
         Score(
@@ -279,7 +282,21 @@ def scores_of(
         )
         for j, eff in enumerate(effects)
     )
-    return ScoreTable(scores, plain.gram / np.outer(norms, norms), at.lags, family)
+    return ScoreTable(
+        scores,
+        plain.gram / np.outer(norms, norms),
+        at.lags,
+        family,
+        overflowing=tuple(e for j, e in enumerate(columns.effects) if j not in kept),
+    )
+
+
+def _require_finite(name: str, tangent: Array, e: Array) -> None:
+    if not (np.all(np.isfinite(tangent)) and np.all(np.isfinite(e))):
+        raise SolveError(
+            f"{name}: its sensitivities overflow; no effect can be tested. Shorten the "
+            "window, or change the parameters that make it grow"
+        )
 
 
 def _between_samples(
@@ -300,6 +317,16 @@ def _between_samples(
         and (inputs[e.where].kind, inputs[e.where].hold) == ("measured", "foh")
     ]
     return np.asarray(SCORES.between_samples * Ts * response[:, late].sum(axis=1))
+
+
+def has_finite_tangent(fit: Fit) -> bool:
+    """True if the model's own sensitivities do not overflow, so that effects can be tested."""
+    columns = Columns(fit.criterion, range(len(fit.x)))
+    return all(
+        np.all(np.isfinite(part))
+        for k in range(len(fit.criterion.data))
+        for part in columns.of_record(fit.x, k)
+    )
 
 
 def step_without_bias(

@@ -11,7 +11,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
-from casid.estimation.noise import input_noise_floor
+from casid.estimation.noise import input_noise_floor, with_rounding
 from casid.model.effects.effect import Motion, Sizes, Spread
 
 
@@ -37,9 +37,21 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
         },
         readings={n: (m.low, m.high) for n, m in readings.items()},
         levels={n: m.operating_point for n, m in readings.items() if m.operating_point},
-        noise=input_noise_floor(at.criterion.data, list(at.model.inputs)),
+        noise=_noise_of_inputs(at),
         course=lambda expression: _course(at, [s.x for s in sims], expression),
     )
+
+
+def _noise_of_inputs(at: Weighted) -> dict[str, float]:
+    """A bound on the white noise of each input: of a known one that of its rounding.
+
+    A known command acts as it was recorded. What is white in it, such as the noise of a sensor that
+    a controller feeds back, acts too.
+    """
+    data, inputs = at.criterion.data, at.model.inputs
+    measured = [name for name, entry in inputs.items() if entry.kind != "known"]
+    floor, rounded = input_noise_floor(data, list(inputs)), with_rounding(data, {})
+    return {name: floor[name] if name in measured else rounded.get(name, 0.0) for name in inputs}
 
 
 def _longest_delay(at: Weighted, states: Array) -> float:

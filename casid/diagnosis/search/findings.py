@@ -158,5 +158,5 @@ def _why_open(search: Search) -> str:
             "or raise the budget (--budget)"
         )
     if search.first_table is None:
-        return f"no effect could be tested, since {'; '.join(attempts.failed.values())}"
+        return f"no effect could be tested, since {attempts.reasons()}"
     return ""

@@ -7,18 +7,23 @@ and ranks what was found (`comparing`). What is adopted of it, `adoption` decide
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from casid.diagnosis.attempts import Attempts
+from casid.diagnosis.attempts import Attempts, reason_of
 from casid.diagnosis.evidence.cogging_periods import CoggingCandidate, cogging_candidates
 from casid.diagnosis.evidence.loop_references import loop_references
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.residual_tests import ResidualTests
-from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
+from casid.diagnosis.evidence.score_tests import (
+    Score,
+    ScoreTable,
+    has_finite_tangent,
+    score_test,
+)
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
 from casid.diagnosis.evidence.sufficiency import error_over_noise
@@ -36,13 +41,15 @@ from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import COMPARISON, REFITS, ROUNDS
-from casid.errors import ModelError
+from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.effect import Effect
+from casid.model.effects.effect import Effect, extend_all
 from casid.model.effects.user_effects import UserEffect, user_effects
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
+
+_OVERFLOWS = "its sensitivities overflow in the simulation of the model"
 
 
 @dataclass(slots=True)
@@ -111,14 +118,45 @@ class Search:
     def _scores(
         self, fit: Fit, effects: Sequence[Effect], input_sd: Mapping[str, float]
     ) -> ScoreTable:
-        """The scores of all effects, but of those that the model has no solution with."""
+        """The scores of all effects but of those that break the model or its simulation."""
         score = partial(score_test, fit, input_sd=input_sd, seed=self.weighing.seed)
+        solution = partial(_solution, fit.criterion.model)
         try:
-            return score(effects)
+            table = score(effects)
+        except OutOfTimeError:
+            raise
         except ModelError:
-            solve = partial(_solution, fit.criterion.model)
-            solved = [e for e in effects if self.attempts.attempt(name_of(e), partial(solve, e))]
-            return score(solved)
+            table = score(self._working(effects, solution))
+        except SolveError:
+            if not has_finite_tangent(fit):
+                raise
+            table = score(self._working(effects, partial(score, draws=0)))
+        self.attempts.failed |= {name_of(e): _OVERFLOWS for e in table.overflowing}
+        return table
+
+    def _working(
+        self, effects: Sequence[Effect], function: Callable[[Sequence[Effect]], object]
+    ) -> list[Effect]:
+        """The effects that `function` takes together; of each other one, a note says why not.
+
+        What fails is halved until one effect beside those that work is left of it.
+        """
+        working: list[Effect] = []
+        waiting = [list(effects)]
+        while waiting:
+            part = waiting.pop()
+            try:
+                function([*working, *part])
+                working += part
+            except OutOfTimeError:
+                raise
+            except CasidError as error:
+                if len(part) == 1:
+                    self.attempts.failed[name_of(part[0])] = reason_of(error)
+                else:
+                    half = len(part) // 2
+                    waiting += [part[half:], part[:half]]
+        return working
 
     def _references(self, model: Model) -> tuple[str, ...]:
         """Recorded channels that drive an input in a closed loop: no inputs of their own."""
@@ -212,9 +250,9 @@ def _other_falls(
                 yield s
 
 
-def _solution(model: Model, effect: Effect) -> Explicit:
-    """The equations of a model with an effect, solved for its derivatives."""
-    return effect.extended(model)[0].explicit()
+def _solution(model: Model, effects: Sequence[Effect]) -> Explicit:
+    """The equations of a model with effects, solved for its derivatives."""
+    return extend_all(model, [e for e in effects if e.test == "score"])[0].explicit()
 
 
 def _peak_score(found: PeriodicCandidate | CoggingCandidate) -> Score:

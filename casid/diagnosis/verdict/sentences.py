@@ -16,6 +16,7 @@ from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words, either_words, place_words
+from casid.model.identifiers import made_identifier
 from casid.model.quantities import quantity_text, quantity_texts
 
 _SAYS = {
@@ -158,7 +159,7 @@ def says(effect: Effect, column: str = "") -> str:
         course = f'{effect.description} (hold="{HOLD_OF[effect.description]}")'
         return f"{one} {effect.where} {is_one} {course}, unlike in the model"
     if effect.kind in _SAYS:
-        of_command = effect.parameters[0].name == f"gap_{effect.where}"
+        of_command = effect.parameters[0].name == made_identifier(f"gap_{effect.where}")
         return says_kind(
             effect.kind,
             effect.where,

@@ -33,7 +33,7 @@ def fitted_model(
     covariance : (n, n) of the variables of the criterion.
     """
     criterion = fit.criterion
-    kept = [i for i, name in enumerate(criterion.names) if "[" not in name]  # no inner nodes
+    kept = [i for i, v in enumerate(criterion.variables) if not v.is_inner]
     return FittedModel(
         name=problem.name,
         model=known_model(fit),

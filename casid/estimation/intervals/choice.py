@@ -181,8 +181,9 @@ def _bootstrap(
         return
     if done.not_done:
         undone.add(f"{done.not_done} of {BOOTSTRAP_RUNS.runs} simulated records of the bootstrap")
+    inner = {v.name for v in found.fit.criterion.variables if v.is_inner}
     for name, value in found.fit.values.items():
-        if name not in estimation.undetermined and "[" not in name:
+        if name not in estimation.undetermined and name not in inner:
             chosen.ends[name] = done.interval(name, value)
             chosen.kinds[name] = "bootstrap"
     chosen.assumes["bootstrap"] = _SIMULATED.format(runs=len(done.values))

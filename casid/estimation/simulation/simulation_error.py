@@ -245,7 +245,9 @@ class SimulationError:
                     # Bounds of a state hold at the start of the record.
                     bounds = (state.lower, state.upper) if i == 0 else (-np.inf, np.inf)
                     tag, scale = self._tag(name, i, e), self._state_scale(name)
-                    local.append(unknowns.add(tag, name, start, bounds, scale, clip=True))
+                    local.append(
+                        unknowns.add(tag, name, start, bounds, scale, clip=True, is_inner=i > 0)
+                    )
                 rows.append(np.array(local))
             self._index.append(rows)
             self._cuts.append(cuts)

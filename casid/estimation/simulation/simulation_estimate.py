@@ -111,7 +111,7 @@ def estimate_of(
     units |= {n: p.unit for n, p in model.parameters.items()}
     rows = [
         None  # inner nodes of multiple shooting
-        if "[" in v.name
+        if v.is_inner
         else Estimated(v.name, value, units[v.source], False, None, fit.begun.get(v.name, v.start))
         for v, value in zip(criterion.variables, fit.x.tolist(), strict=True)
     ]

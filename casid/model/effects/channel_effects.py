@@ -317,7 +317,7 @@ def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
 def hold_of_all(model: Model, channels: Sequence[str], toward: Hold) -> Effect:
     """Several inputs that all do what the model does not say: one logger treats them alike."""
     each = [hold(model, channel, toward) for channel in channels]
-    name = each[0].parameters[0].name.removesuffix(channels[0]) + "inputs"
+    name = f"{_BLENDS[model.inputs[channels[0]].hold, toward]}_inputs"
 
     def apply(new: Model, names: Sequence[str]) -> None:
         for effect in each:

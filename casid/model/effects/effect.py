@@ -17,6 +17,7 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model.declarations import Parameter
 from casid.model.effects.search_ranges import SMOOTHING
+from casid.model.identifiers import made_identifier
 from casid.model.model import Model
 from casid.model.units import is_si, parse_unit, si_unit
 
@@ -93,6 +94,14 @@ class Effect:
     description: str = ""
     constants: Mapping[str, float] = field(default_factory=dict)
     declared_units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Names that casid makes of a channel's, `Temp [degC]`, become identifiers."""
+        if self.kind in KINDS:
+            own = tuple(replace(p, name=made_identifier(p.name)) for p in self.parameters)
+            units = {made_identifier(name): unit for name, unit in self.declared_units.items()}
+            object.__setattr__(self, "parameters", own)
+            object.__setattr__(self, "declared_units", units)
 
     @property
     def has_states(self) -> bool:
@@ -258,8 +267,16 @@ def extend_all(model: Model, effects: Sequence[Effect]) -> tuple[Model, list[Any
     run-in, and states that nothing feels yet need no sensitivities.
     """
     new, names = model, []
-    for effect in effects:
+    for n, effect in enumerate(effects, 1):
         is_pinned = effect.has_states or effect.kind in _LATE
         new, own = effect.extended(new, upper=0.0 if is_pinned else None)
+        new.name = _name_with(model.name, effects[:n])
         names.append(own[0])
     return new, names
+
+
+def _name_with(name: str, effects: Sequence[Effect]) -> str:
+    """The name of a model with effects: the first few, and how many more."""
+    kinds = [effect.kind for effect in effects]
+    listed, more = kinds[:3], len(kinds[3:])
+    return " + ".join([name, *listed, *([f"{more} more"] if more else [])])

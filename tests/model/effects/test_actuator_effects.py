@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -170,6 +172,32 @@ def test_play_that_only_takes_the_noise_out_of_a_measured_command_is_none():
     # The pin is taken along by the largest of 20 noises, 1.9 standard deviations on average.
     gap = named.parameters[0]
     assert abs(gap.value - 0.2 - 1.9 * 0.02) < 4 * gap.std_error + 0.02
+
+
+def in_a_loop(gap: float, seed: int) -> casid.Record:
+    """A tank that a controller fills and drains through a valve with overlap, at 1 % of noise.
+
+    The noise of the level is ten times as large in the command, where the valve follows it.
+    """
+    rng = np.random.default_rng(seed)
+    decay, h = np.exp(-Ts / 2.0), 0.0
+    command, level = np.zeros(1200), np.zeros(1200)
+    for k, target in enumerate(np.repeat(rng.uniform(-0.1, 0.1, 60), 20).tolist()):
+        level[k] = h + 0.002 * rng.standard_normal()
+        command[k] = 10.0 * (target - level[k])
+        acting = command[k] - min(max(command[k], -gap), gap)
+        h = decay * h + (1 - decay) * acting
+    return casid.Record({"u": command, "level": level}, {"u": "m", "level": "m"}, Ts=Ts)
+
+
+@pytest.mark.slow
+def test_a_gap_narrower_than_the_noise_that_a_controller_feeds_back_is_found():
+    """A known command acts as it was recorded, the noise in it too: that is no error of it."""
+    m = measured_tank().model.copy("known command")
+    m.inputs["u"] = replace(m.inputs["u"], kind="known")
+    (cause,) = casid.diagnose(casid.Problem("tank", m), in_a_loop(0.05, 1)).causes
+    assert (cause.kind, cause.where) == ("deadzone", "u")
+    assert abs(cause.parameters[0].value - 0.05) < 4 * cause.parameters[0].std_error
 
 
 def test_a_contact_is_where_the_command_last_pushed():

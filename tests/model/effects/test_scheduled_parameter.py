@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 import casid
-from casid.model.effects.effect import Motion, Sizes
+from casid.model.effects.effect import Motion, Sizes, Spread
 from casid.model.effects.parameter_effects import (
     input_schedules_of,
     is_constant_term,
+    scheduled_parameter,
     state_scheduled_parameter,
     state_schedules_of,
 )
@@ -338,3 +339,38 @@ def test_what_a_heat_pump_makes_of_its_power_depends_on_the_temperature_outside(
     assert size.std_error is not None
     assert abs(size.value - slope) < 3 * size.std_error
     assert size.std_error < 0.1 * slope
+
+
+def test_a_channel_named_with_brackets_has_a_size_and_an_error_as_any_other():
+    """Variables of multiple shooting have brackets in their names; names of channels may, too."""
+    channel, of = "speed of air [m/s]", problem()
+    entries = record(0.5, 1)
+    named = casid.Record(
+        {"position": entries["position"], "force": entries["force"], channel: entries["speed"]},
+        {"position": "m", "force": "N", channel: "m/s"},
+        Ts=TS,
+    )
+    effect = scheduled_parameter(of.model, "d", channel, "m/s", Spread(1.5, 0.7, 2.3))
+    assert [p.name for p in effect.parameters] == ["slope_d_speed_of_air_m_s"]
+    found = casid.identify(
+        dataclasses.replace(of, model=of.model.extend(effect), recorded={channel: "m/s"}), named
+    )
+    slope = found.parameter("slope_d_speed_of_air_m_s")
+    assert slope.value == pytest.approx(0.5 * DAMPING, abs=4 * slope.std_error)
+
+
+def test_parameters_with_brackets_in_their_own_names_are_no_inner_nodes():
+    m = casid.Model("tank")
+    h, q = m.state("h", "m"), m.input("q", "m/s", known=True, hold="zoh")
+    m.derivative(h, q - m.parameter("leak [1/s]", "1/s", start=0.05) * h)
+    m.output("level", h, "m")
+    rng = np.random.default_rng(1)
+    flow, level = np.repeat(rng.uniform(0.0, 0.1, 20), 20), np.zeros(400)
+    for k in range(399):
+        level[k + 1] = level[k] * math.exp(-0.01) + flow[k] * (1 - math.exp(-0.01)) / 0.1
+    level += 1e-3 * rng.standard_normal(400)
+    data = casid.Record({"q": flow, "level": level}, {"q": "m/s", "level": "m"}, Ts=0.1)
+    found = casid.identify(casid.Problem("tank", m), data, settings=casid.FitSettings(segments=3))
+    leak = found.parameter("leak [1/s]")
+    assert leak.value == pytest.approx(0.1, abs=4 * leak.std_error)
+    assert [p.name for p in found.initial_states] == ["h(0)"]  # of three parts, the first alone

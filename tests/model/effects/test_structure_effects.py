@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -12,7 +13,7 @@ from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.sample_lines import lines_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import Simulator
-from casid.model.effects.effect import Sizes
+from casid.model.effects.effect import Sizes, extend_all
 from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES
 from casid.model.effects.structure_effects import (
     actuator_lag,
@@ -379,3 +380,20 @@ def test_stores_are_sought_in_balances_without_a_position_from_samples_to_a_shar
     shaft.balance(w, "torque", inertia=1.0, terms=[-shaft.parameter("d", "N m s/rad") * w])
     shaft.output("speed", w, "rad/s")
     assert missing_modes_of(shaft, Sizes({"w": 1.0}, {}, (0.0, 60.0), 0.1), 0.1) == []
+
+
+def test_modes_of_coupled_balances_are_solved_for_beside_effects_in_their_inertias():
+    """Two joints of an arm, each with the other's acceleration in its balance."""
+    m = casid.Model("arm")
+    q, v, w = m.state("q", "rad"), m.state("v", "rad/s"), m.state("w", "rad/s")
+    J, K = m.parameter("J", "kg m^2", lower=0.0), m.parameter("K", "kg m^2", lower=0.0)
+    m.derivative(q, v)
+    coupling = 0.5 * J * ca.cos(q)
+    m.balance(v, "shoulder", inertia=J, terms=[-coupling * m.der(w)], unit="N m")
+    m.balance(w, "elbow", inertia=K, terms=[-coupling * m.der(v)], unit="N m")
+    m.output("angle", q, "deg")
+    modes = [missing_mode(m, b, omega) for omega in (1.0, 2.0, 4.0) for b in m.balances]
+    extended, _ = extend_all(m, modes)
+    explicit = extended.explicit()
+    assert len(explicit.states) == 3 + 2 * len(modes)
+    assert extended.name == "arm + missing_mode + missing_mode + missing_mode + 3 more"
