@@ -147,7 +147,7 @@ def advice(
         if not rivals:
             continue
         others = either_words(a.words for a in rivals)
-        return f"To separate {effect_words(c.kind, c.where)} from {others}: {separates(c.kind)}."
+        return f"To separate {c.words} from {others}: {separates(c.kind)}."
     if verdict == "deficient" and not is_better:
         return (
             "Keep the present model for now: the extended one fits better, but raises the error of "

@@ -14,6 +14,9 @@ from casid.model.units import parse_unit, si_unit
 NOT_ACCEPTED = "is significant but was not accepted"
 """What a note says of an effect that was refused; its name stands before it."""
 
+SIMILAR = "significant and of a similar effect, but"
+"""How an alternative to what has no name begins; why it was refused follows."""
+
 Verdict = Literal["adequate", "deficient", "undecided"]
 
 
@@ -40,7 +43,7 @@ class Alternative:
             what = self.description.removeprefix("a term ")
             like = f" {what}" if what != self.description else f" ({what})"
             return f"{effect_words(self.kind, self.where)}{like}"
-        return effect_words(self.kind, self.where)
+        return effect_words(self.kind, self.where, description=self.description)
 
     @property
     def is_as_likely(self) -> bool:
@@ -78,6 +81,11 @@ class Cause:
         own = f"{self.kind} in {self.where}"
         names = tuple(dict.fromkeys((own, *(a.name for a in self.alternatives))))
         return names if len(names) > 1 else ()
+
+    @property
+    def words(self) -> str:
+        """As an engineer says it."""
+        return effect_words(self.kind, self.where, description=self.description)
 
     def in_units(self, units: Mapping[str, str]) -> Cause:
         """The cause with its parameters in the units that `units` has for them.

@@ -12,9 +12,8 @@ from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
-from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.findings import Findings
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Cause, Ranked, Verdict
+from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
 from casid.diagnosis.verdict.error_bars import bars_of
 from casid.diagnosis.verdict.extended_model import extended_model
@@ -27,6 +26,7 @@ from casid.diagnosis.verdict.gain import (
     unlike_held_out,
     views,
 )
+from casid.diagnosis.verdict.not_accepted import refusal_notes, told_once
 from casid.diagnosis.verdict.open_set import (
     Remainder,
     described,
@@ -47,7 +47,6 @@ from casid.estimation.simulation.simulation_estimate import (
     channel_notes,
     estimate_of,
 )
-from casid.model.effects.names import effect_words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +133,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     compare = partial(_compared_with_functions, found, causes, remainder)
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)
-    causes = negated(causes)
+    causes = told_once(negated(causes), found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = unlike_held_out(found, fitted, held)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
@@ -256,12 +255,6 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         "not an input of its own"
         for channel in search.references or ()
     ]
-    notes += refusal_notes(search.refused)
+    notes += refusal_notes(search.refused, judged.causes)
     notes += [why for why in search.refitting.left_out.values() if why]
     return (*notes, *search.attempts.notes())
-
-
-def refusal_notes(refused: Sequence[tuple[Candidate, str]]) -> list[str]:
-    """A note on each effect that was refused, with the reason of the last round."""
-    reasons = {effect_words(c.effect.kind, c.effect.where): why for c, why in refused}
-    return [f"{words} {NOT_ACCEPTED}: {why}" for words, why in reasons.items()]

@@ -14,7 +14,6 @@ from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.verdict.cause import NOT_ACCEPTED
-from casid.diagnosis.verdict.judgement import refusal_notes
 from casid.diagnosis.verdict.sentences import (
     noise_text,
     says,
@@ -132,12 +131,6 @@ def test_an_alternative_is_described_as_its_bic_says(gap: float, said: str):
     effect = SimpleNamespace(kind="offset", is_on_the_clock=False)
     best, other = (SimpleNamespace(merit=m, effect=effect) for m in (gap, 0.0))
     assert said in why_alternative(best, other)
-
-
-def test_an_effect_that_several_rounds_refuse_has_one_note():
-    effect = SimpleNamespace(kind="offset", where="torque")
-    (note,) = refusal_notes([(SimpleNamespace(effect=effect), why) for why in ("one", "two")])
-    assert note.endswith(f"{NOT_ACCEPTED}: two")
 
 
 def test_of_effects_that_were_not_accepted_the_text_has_three_and_counts_the_others():
