@@ -20,7 +20,7 @@ from casid.diagnosis.diagnosis import Alternative, Cause, Diagnosis, Ranked
 from casid.diagnosis.facts import Facts
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.gain import decisive, improves
-from casid.diagnosis.verdict.remainder import what_remains
+from casid.diagnosis.verdict.remainder import NoiseFound, what_remains
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.estimation.estimate import Estimated
 from casid.model.effects.effect import KINDS as CATALOGUE
@@ -108,7 +108,7 @@ def diagnoses(draw: st.DrawFn) -> Diagnosis:
         advice=advice(verdict, causes, (), why, is_better=improves(decisive(held, held))),
         remaining=what_remains(
             named, held, p_value=draw(st.none() | p_values), test="kind of the residual",
-            false_alarm_rate=LEVEL, coloured=last.fit.coloured,
+            false_alarm_rate=LEVEL, noise=NoiseFound(last.fit.coloured),
         ),
     )  # fmt: skip
 

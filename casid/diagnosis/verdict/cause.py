@@ -137,6 +137,35 @@ class Cause:
 
 
 @dataclass(frozen=True, slots=True)
+class Doubts:
+    """What contradicts the model although no effect of the catalogue explains it.
+
+    Attributes
+    ----------
+    is_more_than_noise : the test of the remainder finds that it is no noise.
+    disagreements : a sentence for each parameter on which the records disagree.
+    bounds : parameters that the fit holds at a bound, where they decide the verdict; in words.
+    """
+
+    is_more_than_noise: bool = False
+    disagreements: tuple[str, ...] = ()
+    bounds: Mapping[str, str] = field(default_factory=dict, hash=False)
+
+    @property
+    def said(self) -> str:
+        """What contradicts it, in words; empty where nothing does."""
+        said = []
+        if self.is_more_than_noise:
+            said.append("the remainder is not random")
+        if self.disagreements:
+            said.append("the records disagree on a parameter by more than their errors")
+        return ", and ".join(said)
+
+
+NO_DOUBTS = Doubts()
+
+
+@dataclass(frozen=True, slots=True)
 class Ranked:
     """One candidate of the catalogue as the first round saw it."""
 

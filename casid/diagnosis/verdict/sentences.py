@@ -12,7 +12,7 @@ from casid.diagnosis.evidence.disturbances import Disturbance, is_seen
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
-from casid.diagnosis.verdict.cause import Alternative, Cause, Verdict
+from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
 from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words, either_words, place_words
@@ -210,15 +210,17 @@ def verdict_sentence(
     problem: Problem,
     disturbances: Sequence[Disturbance] = (),
     why_untested: str = "",
+    doubts: Doubts = NO_DOUBTS,
 ) -> str:
     """The diagnosis in one or two sentences."""
     if verdict == "undecided":
         return f"This record does not determine whether the model is adequate: {why_undecided}."
     if verdict == "adequate":
-        text = (
-            "Nothing in this record contradicts the model: no effect of the catalogue is "
-            "significant and improves the held-out part."
-        )
+        text = "o effect of the catalogue is significant and improves the held-out part"
+        if doubts.said:
+            text = f"N{text}, but {doubts.said}."
+        else:
+            text = f"Nothing in this record contradicts the model: n{text}."
         said = "; ".join(d.sentence for d in disturbances)
         return f"{text} {said[0].upper()}{said[1:]}." if said else text
     text = _joined([_says_cause(c) for c in causes])
