@@ -231,8 +231,8 @@ def _of_samples(why_undecided: str, doubts: Doubts) -> str:
             f"{_CORRECT} Whether the model is adequate without them is not known: {why_undecided}."
         )
     if doubts.said:
-        apart = f" {_APART}." if doubts.disagreements else ""
-        return f"{_CORRECT} They do not explain all: {doubts.said}.{apart}"
+        todo = _APART if doubts.disagreements else "Look for what the residual follows"
+        return f"{_CORRECT} They do not explain all: {doubts.said}. {todo}."
     return (
         f"{_CORRECT[:-1]}; without them, as they are left out here, nothing in this record "
         "contradicts the model."

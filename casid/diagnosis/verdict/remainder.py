@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from casid.data.files import plain_fields
-from casid.diagnosis.thresholds import JUDGING, RESIDUAL
+from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, RESIDUAL
 from casid.estimation.estimate import Estimate, Estimated
 from casid.model.effects.effect import OF_SAMPLES
 
@@ -241,9 +241,19 @@ def _by_chance(above: Sequence[str], over: Mapping[str, float], chance: Mapping[
     """That no error above the floor is more than chance may give, and the number behind it."""
     worst = max(above, key=lambda o: over[o])
     limit = chance[worst]
-    text = (
-        f" By chance and by the errors of the estimates it may be up to {limit:.3g} times the "
-        f"floor in the held-out part (in all but one record of {1 / RESIDUAL.held_out_chance:.0f})"
+    rare = f"in all but one record of {1 / RESIDUAL.held_out_chance:.0f}"
+    if limit <= JUDGING.unlike:
+        return (
+            f" By chance and by the errors of the estimates it may be up to {limit:.3g} times the "
+            f"floor in the held-out part ({rare})."
+        )
+    size = (
+        f"of up to {limit:.2g}"
+        if limit < DESCRIPTION.told
+        else f"of more than {DESCRIPTION.told:g}"
     )
-    little = ": that part is too short, or too far from what was fitted, to tell a smaller error"
-    return f"{text}{little if limit > JUDGING.unlike else ''}."
+    return (
+        " The held-out part tells little: it has few independent samples, or lies far from what "
+        f"was fitted. An error there {size} times the floor may be due to chance and to the errors "
+        f"of the estimates ({rare})."
+    )

@@ -64,18 +64,24 @@ def test_an_error_that_chance_gives_is_no_unexplained_one(chance: float, is_more
         [("offset", "torque", 1.0)], part, p_value=0.5, noise=NoiseFound(chance={"x": chance})
     )
     assert ("no effect of the catalogue explains" in r.sentence) == is_more
-    said = "By chance and by the errors of the estimates it may be up to 1.7 times the floor in"
+    said = "An error there of up to 1.7 times the floor may be due to chance and to the errors of"
     assert (said in r.sentence) != is_more
     assert ("The remainder of the fitted part is consistent with noise" in r.sentence) != is_more
 
 
-@pytest.mark.parametrize(("chance", "is_short"), [(1.3, False), (4.2, True)])
-def test_a_held_out_part_that_tells_little_is_said_to(chance: float, is_short: bool) -> None:
+@pytest.mark.parametrize(
+    ("chance", "size", "is_short"),
+    [(1.3, "up to 1.3", False), (4.2, "up to 4.2", True), (1.4e4, "more than 100", True)],
+)
+def test_a_held_out_part_that_tells_little_is_said_to(
+    chance: float, size: str, is_short: bool
+) -> None:
     part = {"baseline_rmse": {"x": 3.0}, "extended_rmse": {"x": 1.2}, "noise_floor": {"x": 1.0}}
     noise = NoiseFound(chance={"x": chance})
     r = what_remains([("offset", "torque", 1.0)], part, p_value=0.5, noise=noise)
-    assert f"up to {chance} times the floor" in r.sentence
-    assert ("too short, or too far from what was fitted" in r.sentence) == is_short
+    assert f"{size} times the floor" in r.sentence
+    assert "in all but one record of 1000" in r.sentence
+    assert ("The held-out part tells little" in r.sentence) == is_short
 
 
 def test_a_residual_that_is_not_random_is_not_said_to_be_larger_than_the_noise_where_it_is_not():
