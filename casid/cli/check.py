@@ -61,6 +61,7 @@ def check(
     found = load(problem) if problem is not None else None
     common = parse_window(window) if window else None
     sources = [source_of(text, common) for text in data]
+    _refuse_problems(sources)
     reports = [_checked(source, request, found) for source in sources]
     if as_json:
         content = [report.to_json() for report in reports]
@@ -72,6 +73,17 @@ def check(
         raise DataError(
             f"cannot be used: {', '.join(unusable)}; fix the errors listed under findings"
         )
+
+
+def _refuse_problems(sources: list[Source]) -> None:
+    """Refuse a problem file in the place of a record: other commands take it there."""
+    for source in sources:
+        if source.path.suffix == ".py":
+            others = [str(s) for s in sources if s.path.suffix != ".py"] or ["RECORD"]
+            raise DataError(
+                f"{source.path} is a problem file, and no record; casid check takes it by "
+                f"--problem: casid check {' '.join(others)} --problem {source.path}"
+            )
 
 
 def _checked(source: Source, request: Request, problem: Problem | None) -> CheckReport:

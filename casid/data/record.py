@@ -216,7 +216,7 @@ class Record(RecordMethods, Presented, PickledByFields):
                 f"window {start:g}:{stop:g} s is empty or backward; {span}. "
                 "Give the earlier time first."
             )
-        slack = 0.5 * self.Ts
+        slack = (1 + 1e-6) * self.Ts  # a record of N samples lasts N Ts
         outside = [x for x in (start, stop) if np.isfinite(x)]
         if any(x < self.t0 - slack or x > end + slack for x in outside):
             raise DataError(

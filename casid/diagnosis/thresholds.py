@@ -729,6 +729,11 @@ class Description:
     rare: float = _is(0.4, "of the record beyond which such stretches are not named", _DESCRIPTION)
     stretches: int = _is(4, "stretches that are listed", _DESCRIPTION)
     band_p: float = _is(0.01, "p below which the loudest band is named", _DESCRIPTION)
+    told: float = _is(
+        100.0,
+        "times the noise floor: a limit of the held-out error from which its number is not told",
+        f"{TESTS}/verdict/test_remainder.py",
+    )
     names: int = _is(
         5,
         "names of what may be one cause, in the verdict; all of them stand with the cause",

@@ -102,7 +102,7 @@ def _spoilt(e: Estimate) -> Iterator[tuple[str, str]]:
     if i.rank < i.unknowns:
         yield (
             f"The record determines {i.rank} of {i.unknowns} unknowns"
-            + (f"; not {i.undetermined}." if i.undetermined else "."),
+            + (f"; {i.undetermined}." if i.undetermined else "."),
             "Give one of them a known value (--set), or run casid identifiability to find the "
             "sensors and experiments that would determine them.",
         )

@@ -162,6 +162,15 @@ def test_check_reports_and_says_usable(here: Path) -> None:
     assert [r["N"] for r in both] == [301, 301]
 
 
+def test_check_refuses_a_problem_file_in_the_place_of_a_record(here: Path) -> None:
+    result = casid("check", "problem.py", "run.csv@1:", "--sample-time", "0.01")
+    refused(
+        result,
+        "problem.py is a problem file, and no record; casid check takes it by --problem",
+        "casid check run.csv@1: --problem problem.py",
+    )
+
+
 def test_check_of_an_unusable_file_is_still_a_whole_report(here: Path) -> None:
     rewrite("run.csv", "bad.csv", lambda h, r: (h, r[:100] + r[90:]))
     result = casid("check", "bad.csv", "--json")

@@ -58,7 +58,7 @@ def test_a_line_a_channel_is_said_on_standard_error_and_stands_in_the_report() -
     page = html.unescape(Path("fit/report.html").read_text())
     for line in (
         "time stamps are dates read as day, month, year, first 06 January 2025",
-        "column u [mV] [mV] to u [V]: times 0.001; unit from its name",
+        "column u [mV] to u [V]: times 0.001; unit from its name",
         "column 'Licht [lx]' is not used by the model: a diagnosis tests it as a missing input",
         "column 'Bemerkung' is not used: empty",
     ):

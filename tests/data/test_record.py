@@ -140,6 +140,15 @@ def test_a_window_remembers_its_parent_and_keeps_masks_in_step():
     assert roll().between(-np.inf, 1.0).N == 11
 
 
+def test_the_end_of_a_record_is_where_its_length_says() -> None:
+    """N samples last N Ts: `check` prints that length, and the last sample a sample before it."""
+    record = roll()
+    end = record.t0 + record.N * record.Ts
+    assert record.between(record.t0, end).N == record.N
+    with pytest.raises(DataError, match="outside the record"):
+        record.between(record.t0, end + 0.1 * record.Ts)
+
+
 @pytest.mark.parametrize(
     ("window", "what", "mend"),
     [((50.0, 60.0), "outside", "0 to 39.9 s"), ((3.0, 2.0), "backward", "earlier time first"),

@@ -11,6 +11,11 @@ import pytest
 from scipy.linalg import expm
 
 import casid
+from casid.diagnosis.diagnosis import Alternative, Cause
+from casid.diagnosis.search.candidates import name_of
+from casid.diagnosis.verdict.sentences import verdict_sentence
+from casid.model.effects.channel_effects import dead_time, time_delay
+from casid.model.effects.names import effect_words
 
 TS = 0.02
 N = 1500
@@ -94,7 +99,7 @@ def test_a_measured_input_acts_late_or_is_recorded_late(delay: float, name: str)
     (p,) = cause.parameters
     assert p.name == name
     assert p.value == pytest.approx(abs(delay), abs=4 * p.std_error + 0.02 * TS)
-    said = "acts later than it is recorded" if delay > 0 else "is delayed"
+    said = "acts later than it is recorded" if delay > 0 else "is recorded later than it acts"
     assert said in cause.sentence
 
 
@@ -107,6 +112,19 @@ def test_of_one_output_a_late_command_and_a_late_sensor_are_the_same() -> None:
 
 
 def test_an_advance_of_an_input_that_may_act_late_is_no_further_alternative() -> None:
-    d = diagnosed("foh", 0.053, known=False, outputs=("position",))
-    for cause in d.causes:
-        assert not [a for a in cause.alternatives if a.why.startswith("an advance of force")]
+    for delay in (0.053, -0.053):
+        d = diagnosed("foh", delay, known=False, outputs=("position",))
+        for cause in d.causes:
+            assert not [a for a in cause.alternatives if a.why.startswith("an advance of force")]
+
+
+def test_the_two_delays_of_an_input_have_words_that_tell_them_apart() -> None:
+    model = problem("foh", known=False).model
+    late, recorded = dead_time(model, "force", 1.0), time_delay(model, "force", 1.0)
+    assert name_of(late) == effect_words(*late.key) == "dead time of force (it acts late)"
+    assert name_of(recorded) == "delay of the record of force (its sensor is late)"
+    assert effect_words(*recorded.key) == "delay of force"
+    other = Alternative("time_delay", "force", 0.5, "as well", late.description)
+    cause = Cause("time_delay", "position", 1e-9, (), (other,), sentence="it is late")
+    text = verdict_sentence("deficient", [cause], {}, "", problem("foh", known=False))
+    assert "delay of position or dead time of force (it acts late)" in text

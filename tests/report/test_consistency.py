@@ -19,8 +19,9 @@ from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.diagnosis import Alternative, Cause, Diagnosis, Ranked
 from casid.diagnosis.facts import Facts
 from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.verdict.cause import Doubts
 from casid.diagnosis.verdict.gain import decisive, improves
-from casid.diagnosis.verdict.remainder import what_remains
+from casid.diagnosis.verdict.remainder import NoiseFound, what_remains
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.estimation.estimate import Estimated
 from casid.model.effects.effect import KINDS as CATALOGUE
@@ -87,11 +88,13 @@ def diagnoses(draw: st.DrawFn) -> Diagnosis:
         last.fit, whiteness={o: samples.whiteness_of(outside) for o in held["baseline_rmse"]}
     )
     last = replace(last, fit=fit)
+    p_value = draw(st.none() | p_values)
+    doubts = Doubts(p_value is not None and p_value < LEVEL)
     named = [(c.kind, c.where, c.share / sum(c.share for c in causes)) for c in causes]
     return samples.changed(
         samples.adequate(),
         verdict=verdict,
-        sentence=verdict_sentence(verdict, causes, held, why, PROBLEM),
+        sentence=verdict_sentence(verdict, causes, held, why, PROBLEM, doubts=doubts),
         causes=tuple(causes),
         ranking=tuple(
             Ranked(k, "torque", draw(p_values), draw(p_values), 1.0, draw(st.sampled_from(
@@ -105,10 +108,12 @@ def diagnoses(draw: st.DrawFn) -> Diagnosis:
         fitted=held,
         moved=(),
         isolability=draw(st.none() | st.just(isolability())),
-        advice=advice(verdict, causes, (), why, is_better=improves(decisive(held, held))),
+        advice=advice(
+            verdict, causes, (), why, is_better=improves(decisive(held, held)), doubts=doubts
+        ),
         remaining=what_remains(
-            named, held, p_value=draw(st.none() | p_values), test="kind of the residual",
-            false_alarm_rate=LEVEL, coloured=last.fit.coloured,
+            named, held, p_value=p_value, test="kind of the residual",
+            false_alarm_rate=LEVEL, noise=NoiseFound(last.fit.coloured),
         ),
     )  # fmt: skip
 
@@ -143,7 +148,11 @@ def test_no_sentence_of_a_diagnosis_contradicts_another(d: Diagnosis) -> None:
 
 def _verdict_agrees_with_causes(d: Diagnosis, text: str) -> None:
     assert (d.verdict == "deficient") == bool(d.causes)
-    assert ("Nothing in this record contradicts the model" in text) == (d.verdict == "adequate")
+    p_value = d.remaining.p_value if d.remaining is not None else None
+    is_noise = p_value is None or p_value >= LEVEL
+    is_said = "Nothing in this record contradicts the model" in text
+    assert is_said == (d.verdict == "adequate" and is_noise)
+    assert ("The model may be used" in text) == is_said
     if d.verdict == "adequate":
         assert "Use the extended model" not in text
 

@@ -48,6 +48,11 @@ def test_a_white_residual_and_a_good_fit_can_be_used():
             "deficient",
             "2 of 3 unknowns",
         ),
+        (
+            {"identifiability": Identifiability(2, 3, 0.0, "tau does not move any output")},
+            "deficient",
+            "2 of 3 unknowns; tau does not move any output.",
+        ),
         ({"suspects": ("gyro has the wrong sign",)}, "deficient", "Gyro has the wrong sign."),
     ],
 )

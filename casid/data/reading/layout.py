@@ -220,6 +220,16 @@ def _separator(head: Sequence[str]) -> str:
     return max(counts, key=lambda s: counts[s]) if any(counts.values()) else ","
 
 
+def names_above(above: Sequence[str], layout: Layout) -> list[str]:
+    """Names in a line of comment that are more than the rows have values; none where no line is."""
+    for line in reversed(above):
+        if COMMENT.match(line):
+            names = cells_of(line.lstrip().lstrip("#%/").strip(), layout.separator)
+            if len(names) > layout.width > 1 and not any(map(is_value, names)):
+                return names
+    return []
+
+
 def _commented_names(above: Sequence[str], width: int, separator: str) -> list[str]:
     """Names in a line of comment, as `numpy.savetxt` writes them."""
     for line in reversed(above):

@@ -31,6 +31,7 @@ from casid.data.reading.columns import (
 )
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.file_format import FileFormat
+from casid.data.reading.header_units import header_unit
 from casid.data.reading.opening import open_table
 from casid.data.reading.resampling import resampled
 from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_rows
@@ -196,6 +197,13 @@ def _compare_units(opened: _Opened, found: Survey) -> None:
             found.notes.append(f"{channel}: {text}. {remedy.rstrip('.')}")
 
 
+def _with_unit(column: str, unit: str) -> str:
+    """A column and its unit, which stands once where the column's name ends in it."""
+    named = header_unit(column)
+    is_named = named is not None and named.is_sure and named.text == unit
+    return column if is_named or not unit else f"{column} [{unit}]"
+
+
 def _read_clock(opened: _Opened, found: Survey, steps: list[str], *, is_chosen: bool) -> None:
     """Read the time stamps into `found`, its faults with them."""
     table, frame, _, clock = opened
@@ -207,7 +215,7 @@ def _read_clock(opened: _Opened, found: Survey, steps: list[str], *, is_chosen: 
         return
     found.times, found.clock = times_of(table, frame, clock, found), clock.column
     unit = clock.unit or ("" if found.notes[len(table.remarks) :] else "s, the file names no unit")
-    steps.append(f"time column {clock.column}" + (f" [{unit}]" if unit else ""))
+    steps.append(f"time column {_with_unit(clock.column, unit)}")
     if is_chosen or found.times is None:
         return
     _compare_clocks(table, frame, clock, found.times, found)
@@ -385,8 +393,8 @@ def _channels(
         kept = target if target and parse_unit(target).is_si else si_unit(unit)
         channels.units[channel], found.units[channel] = kept, unit
         steps.append(
-            f"column {spec.column} [{unit}] to {channel} [{kept}]{conversion_text(unit)}"
-            + (f"; unit {spec.origin}" if spec.origin else "")
+            f"column {_with_unit(spec.column, unit)} to {_with_unit(channel, kept)}"
+            f"{conversion_text(unit)}" + (f"; unit {spec.origin}" if spec.origin else "")
         )
     if not channels.values and not found.faults:
         text = f"{table.path.name}: no column of numbers beside the time stamps."

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casid.data.reading.file_format import FileFormat
-from casid.data.reading.layout import NO_VALUE, cells_of, is_date, layout_of
+from casid.data.reading.layout import NO_VALUE, cells_of, is_date, layout_of, names_above
 from casid.data.reading.number_marks import Evidence, decimal_mark
 from casid.data.reading.tables import Table
 from casid.data.reading.text_source import COMMENT, HEAD, TextSource
@@ -44,6 +44,12 @@ class TextTable(Table):
             raise DataError(
                 f"{name}: the file holds no header and no samples. "
                 "Export the measurement again, or give another file."
+            )
+        if not layout.names and (named := names_above(head[: layout.first], layout)):
+            raise DataError(
+                f"{name}: the header names {len(named)} columns, the rows hold {layout.width} "
+                f"values; the last names are {', '.join(named[layout.width :])}. Take away the "
+                "names that have no column, or correct the separator."
             )
         if not layout.names:
             raise DataError(

@@ -96,9 +96,19 @@ class Draft:
             )
         raise DataError(
             f"{self.file.path.name}: no column for {sought} among {columns}. Name it, for example "
-            f"--map {roles[0]}={quoted(self.file.channels[-1].column)}:"
-            f"{self.roles[roles[0]].units[0]}, or take another template."
+            f"--map {self._suggestion(roles)}, or take another template."
         )
+
+    def _suggestion(self, roles: tuple[str, ...]) -> str:
+        """How to name the likeliest column of those that play no part, and its unit if it shows."""
+        taken = {c.column for c in self.columns.values()}
+        free = [c for c in self.file.channels if c.column not in taken] or self.file.channels
+        role, channel = max(
+            ((self.roles[name], c) for c in free for name in roles),
+            key=lambda pair: pair[0].likeness(pair[1]),
+        )
+        unit = "" if header_unit(channel.column) else f":{role.likely_unit(channel) or 'UNIT'}"
+        return f"{role.name}={quoted(channel.column)}{unit}"
 
     # -- lines -------------------------------------------------------------------------------
 

@@ -52,6 +52,32 @@ class Role:
         total = fit + _WORD * names - _WORD * _hits(self.against, channel.words)
         return max(total - _CONSTANT * channel.is_constant, 0.0)
 
+    def likeness(self, channel: FileChannel) -> float:
+        """How likely a column without a known unit plays it: by its name, and what it does."""
+        side = is_command(channel) or channel.is_held if self.side == "input" else False
+        known = channel.unit is not None and not any(
+            same_quantity(channel.unit, unit) for unit in self.units
+        )
+        words = _hits(self.words, channel.words) - _hits(self.against, channel.words)
+        symbols = {w for w in self.words.split() if len(w) == 1}
+        is_symbol = any(len(w) <= _SYMBOL and w[0] in symbols for w in channel.words)  # T_i
+        return words + 0.5 * (side + is_symbol - channel.is_constant) - 10 * known
+
+    def likely_unit(self, channel: FileChannel) -> str:
+        """The unit that the values of a column without one fit; empty where they fit several."""
+        if channel.unit is not None:
+            return channel.unit
+        low, high = float(np.min(channel.values)), float(np.max(channel.values))
+        if self.units[0] == "K" and (high < _COLDEST or low > _COLDEST):
+            return "degC" if high < _COLDEST else "K"
+        return ""
+
+
+_SYMBOL = 3  # letters of a symbol with its index, at most
+
+_COLDEST = 200.0
+"""Number of a temperature below which it is no absolute one [K]; a heuristic."""
+
 
 def same_quantity(unit: str, other: str) -> bool:
     """True if two units measure the same kind of quantity; an angle is no pure number."""

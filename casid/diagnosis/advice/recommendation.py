@@ -16,8 +16,8 @@ from casid.diagnosis.advice.undetectable import (
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
-from casid.diagnosis.verdict.cause import Cause, Verdict
-from casid.diagnosis.verdict.gain import decisive, improves
+from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Verdict
+from casid.diagnosis.verdict.gain import changes, decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
 from casid.diagnosis.verdict.sentences import declares, separates
 from casid.estimation.estimate import Estimate
@@ -56,8 +56,8 @@ def recommend(
         planned = attempt(what, lambda: _planned(problem, found, judged.causes))
     if base.negated is not None:
         text = base.negated.remedy
-    elif judged.bounds and judged.verdict == "undecided":
-        text = bound_advice(problem, judged.bounds)
+    elif judged.doubts.bounds and judged.verdict == "undecided":
+        text = bound_advice(problem, judged.doubts.bounds)
     elif judged.verdict == "undecided" and base.is_fitted and _is_poor(judged.baseline):
         text = _CHECK_CHANNELS
     elif planned is not None:
@@ -65,10 +65,19 @@ def recommend(
     elif judged.verdict == "adequate" and any(d.is_dominant for d in judged.disturbances):
         text = _disturbance_advice(problem.model, judged.disturbances[0])
     else:
-        is_better = improves(decisive(judged.fitted, judged.held_out))
+        decides = decisive(judged.fitted, judged.held_out)
+        is_same = bool(decides.get("extended_rmse")) and not (
+            changes(decides) or changes(judged.fitted)
+        )
         hidden = [key for key in absorbed if key not in named]
         text = advice(
-            judged.verdict, judged.causes, hidden, judged.why_undecided, is_better=is_better
+            judged.verdict,
+            judged.causes,
+            hidden,
+            judged.why_undecided,
+            is_better=improves(decides),
+            is_same=is_same,
+            doubts=judged.doubts,
         )
     if table is None:
         return Recommendation(text, None, (), planned.proposals if planned is not None else ())
@@ -130,6 +139,8 @@ def advice(
     why_undecided: str,
     *,
     is_better: bool = True,
+    is_same: bool = False,
+    doubts: Doubts = NO_DOUBTS,
 ) -> str:
     """What to do next, in a sentence.
 
@@ -137,55 +148,94 @@ def advice(
     ----------
     undetectable : kind and place of what the records cannot show (`absorbed_effects`).
     is_better : whether including the causes lowers the error of what was held out.
+    is_same : including the causes changes no error.
+    doubts : what contradicts the model although no cause was found for it.
     """
     if verdict == "undecided":
         if any(remedy in why_undecided for remedy in _REMEDIES):
             return "Correct what the reason above names, then diagnose again."
         return "Record longer, or excite the system more strongly over a wider band."
+    if verdict == "adequate":
+        return _of_an_adequate_model(undetectable, doubts)
     for c in causes:
         rivals = [a for a in c.alternatives if (a.kind, a.where) != (c.kind, c.where)]
         if not rivals:
             continue
         others = either_words(a.words for a in rivals)
-        return f"To separate {effect_words(c.kind, c.where)} from {others}: {separates(c.kind)}."
-    if verdict == "deficient" and not is_better:
+        return f"To separate {c.words} from {others}: {separates(c.kind)}."
+    return _of_a_deficient_model(causes, why_undecided, is_better, is_same, doubts)
+
+
+def _of_an_adequate_model(undetectable: Sequence[tuple[str, str]], doubts: Doubts) -> str:
+    """How far a model may be used that lacks no effect of the catalogue."""
+    if doubts.disagreements:
+        return f"{_APART}: {doubts.said}."
+    if doubts.is_more_than_noise:
+        text = (
+            "Use the model with care, and not its error bars: look for what the residual follows, "
+            "and add that to the model or record it."
+        )
+    else:
+        text = "The model may be used for motions like those recorded."
+    if undetectable:
+        names = ", ".join(sorted(effect_words(k, w) for k, w in undetectable))
+        text = text if doubts.said else "The model may be used."
+        return f"{text} Undetectable in this set-up: {names}."
+    return text
+
+
+_APART = "Diagnose each record by itself, and look for what differs between them"
+
+
+def _of_a_deficient_model(
+    causes: Sequence[Cause], why_undecided: str, is_better: bool, is_same: bool, doubts: Doubts
+) -> str:
+    """What to do where causes are named that the record separates from others."""
+    has_samples = any(c.kind in OF_SAMPLES for c in causes)
+    of_model = [c for c in causes if c.kind not in OF_SAMPLES]
+    if not of_model:
+        return _of_samples(why_undecided, doubts)
+    if all(c.kind == "unknown" and not c.parameters for c in of_model):
+        return f"{_CORRECT} " * has_samples + (
+            "No term was found to add: look for what the residual follows, add that to the model "
+            f"or record it, and diagnose again, best with {separates('unknown')}."
+        )
+    if is_same:
+        return (
+            "Keep the present model: the extended one has the same errors. Diagnose a further "
+            f"record, best with {separates(of_model[0].kind)}."
+        )
+    if not is_better:
         return (
             "Keep the present model for now: the extended one fits better, but raises the error of "
             "what was held out. Diagnose a further record, best with "
             f"{separates(causes[0].kind)}."
         )
-    if verdict == "deficient" and all(c.kind in OF_SAMPLES for c in causes):
-        return _of_samples(why_undecided)
-    if verdict == "deficient" and all(c.kind == "unknown" and not c.parameters for c in causes):
-        return (
-            "No term was found to add: look for what the residual follows, add that to the model "
-            f"or record it, and diagnose again, best with {separates('unknown')}."
-        )
     declared = declares(causes)
-    if verdict == "deficient" and declared and all(c.kind == "hold" for c in causes):
+    if declared and all(c.kind == "hold" for c in causes):
         return f"{declared} Then diagnose again."
-    if verdict == "deficient":
-        first = next((c.kind for c in causes if c.kind != "hold"), causes[0].kind)
-        return f"{declared} " * bool(declared) + (
-            "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
-            f"with {separates(first)}."
-        )
-    if undetectable:
-        names = ", ".join(sorted(effect_words(k, w) for k, w in undetectable))
-        return f"The model may be used. Undetectable in this set-up: {names}."
-    return "The model may be used for motions like those recorded."
+    first = next((c.kind for c in causes if c.kind != "hold"), causes[0].kind)
+    return f"{declared} " * bool(declared) + (
+        "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
+        f"with {separates(first)}."
+    )
 
 
-def _of_samples(why_undecided: str) -> str:
-    """What to do where nothing but samples of a sensor is wrong."""
+_CORRECT = "Correct the sensor or the logger, or mark these samples as missing."
+
+
+def _of_samples(why_undecided: str, doubts: Doubts) -> str:
+    """What to do where nothing but samples of a sensor is wrong, or is known to be."""
     if why_undecided:
         return (
-            "Correct the sensor or the logger, or mark these samples as missing. Whether the "
-            f"model is adequate without them is not known: {why_undecided}."
+            f"{_CORRECT} Whether the model is adequate without them is not known: {why_undecided}."
         )
+    if doubts.said:
+        todo = _APART if doubts.disagreements else "Look for what the residual follows"
+        return f"{_CORRECT} They do not explain all: {doubts.said}. {todo}."
     return (
-        "Correct the sensor or the logger, or mark these samples as missing; without them, as "
-        "they are left out here, nothing in this record contradicts the model."
+        f"{_CORRECT[:-1]}; without them, as they are left out here, nothing in this record "
+        "contradicts the model."
     )
 
 

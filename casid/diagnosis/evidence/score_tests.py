@@ -38,8 +38,8 @@ from casid.errors import SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.channel_effects import ACTS_LATE
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import ACTS_LATE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

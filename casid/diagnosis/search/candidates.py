@@ -114,7 +114,7 @@ def is_needed(model: Model, others: Sequence[Candidate]) -> bool:
 
 def name_of(effect: Effect) -> str:
     """Kind and place in words, as notes have them."""
-    return effect_words(*effect.key)
+    return effect_words(*effect.key, description=effect.description)
 
 
 def found_values(candidate: Candidate) -> dict[str, float]:

@@ -14,6 +14,9 @@ from casid.model.units import parse_unit, si_unit
 NOT_ACCEPTED = "is significant but was not accepted"
 """What a note says of an effect that was refused; its name stands before it."""
 
+SIMILAR = "significant and of a similar effect, but"
+"""How an alternative to what has no name begins; why it was refused follows."""
+
 Verdict = Literal["adequate", "deficient", "undecided"]
 
 
@@ -40,7 +43,7 @@ class Alternative:
             what = self.description.removeprefix("a term ")
             like = f" {what}" if what != self.description else f" ({what})"
             return f"{effect_words(self.kind, self.where)}{like}"
-        return effect_words(self.kind, self.where)
+        return effect_words(self.kind, self.where, description=self.description)
 
     @property
     def is_as_likely(self) -> bool:
@@ -78,6 +81,11 @@ class Cause:
         own = f"{self.kind} in {self.where}"
         names = tuple(dict.fromkeys((own, *(a.name for a in self.alternatives))))
         return names if len(names) > 1 else ()
+
+    @property
+    def words(self) -> str:
+        """As an engineer says it."""
+        return effect_words(self.kind, self.where, description=self.description)
 
     def in_units(self, units: Mapping[str, str]) -> Cause:
         """The cause with its parameters in the units that `units` has for them.
@@ -126,6 +134,35 @@ class Cause:
     def __repr__(self) -> str:
         sizes = ", ".join(f"{p!r}"[1:-1] for p in self.parameters)
         return f"<Cause {self.kind} in {self.where}: {sizes or 'no size'}>"
+
+
+@dataclass(frozen=True, slots=True)
+class Doubts:
+    """What contradicts the model although no effect of the catalogue explains it.
+
+    Attributes
+    ----------
+    is_more_than_noise : the test of the remainder finds that it is no noise.
+    disagreements : a sentence for each parameter on which the records disagree.
+    bounds : parameters that the fit holds at a bound, where they decide the verdict; in words.
+    """
+
+    is_more_than_noise: bool = False
+    disagreements: tuple[str, ...] = ()
+    bounds: Mapping[str, str] = field(default_factory=dict, hash=False)
+
+    @property
+    def said(self) -> str:
+        """What contradicts it, in words; empty where nothing does."""
+        said = []
+        if self.is_more_than_noise:
+            said.append("the remainder is not random")
+        if self.disagreements:
+            said.append("the records disagree on a parameter by more than their errors")
+        return ", and ".join(said)
+
+
+NO_DOUBTS = Doubts()
 
 
 @dataclass(frozen=True, slots=True)

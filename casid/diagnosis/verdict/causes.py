@@ -24,9 +24,8 @@ from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
-from casid.model.effects.channel_effects import ACTS_LATE
 from casid.model.effects.effect import SWITCHED, Effect
-from casid.model.effects.names import place_words
+from casid.model.effects.names import ACTS_LATE, ADVANCE, place_words
 from casid.model.quantities import instant_text, quantity_text
 
 
@@ -206,9 +205,10 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
                     f"in this record {place_words(where)} acts as {place_words(effect.where)} does"
                 )
                 out.append(Alternative(kind, where, 1.0, why))
-            if kind == effect.kind == "time_delay" and c < 0.0 and where not in both_ways:
+            is_one_way = where.partition(": ")[0] not in both_ways
+            if kind == effect.kind == "time_delay" and c < 0.0 and is_one_way:
                 why = f"an advance of {where} looks the same as a delay of {effect.where}"
-                out.append(Alternative(kind, where, 1.0, why))
+                out.append(Alternative(kind, where, 1.0, why, ADVANCE))
     return out[: JUDGING.aliases]
 
 

@@ -229,6 +229,12 @@ def decisive(fitted: Part, held_out: Part) -> Part:
     return held_out if held_out.get("baseline_rmse") else fitted
 
 
+def changes(part: Part) -> bool:
+    """True if including the causes changes an error by more than its third digit."""
+    before, after = part.get("baseline_rmse", {}), part.get("extended_rmse", {})
+    return any(not math.isclose(before[o], after[o], rel_tol=1e-3) for o in after if o in before)
+
+
 def improves(part: Part) -> bool:
     """True if including the causes lowers the squared error, outputs in units of their floor.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,9 +12,8 @@ from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
-from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.findings import Findings
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Cause, Ranked, Verdict
+from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
 from casid.diagnosis.verdict.error_bars import bars_of
 from casid.diagnosis.verdict.extended_model import extended_model
@@ -27,6 +26,7 @@ from casid.diagnosis.verdict.gain import (
     unlike_held_out,
     views,
 )
+from casid.diagnosis.verdict.not_accepted import refusal_notes, told_once
 from casid.diagnosis.verdict.open_set import (
     Remainder,
     described,
@@ -35,7 +35,13 @@ from casid.diagnosis.verdict.open_set import (
     with_the_unnamed_alternative,
 )
 from casid.diagnosis.verdict.ranking import ranking
-from casid.diagnosis.verdict.remainder import Moved, Remaining, moved_parameters, what_remains
+from casid.diagnosis.verdict.remainder import (
+    Moved,
+    NoiseFound,
+    Remaining,
+    moved_parameters,
+    what_remains,
+)
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.diagnosis.verdict.unnamed_alternatives import unnamed_alternatives
 from casid.estimation.estimate import Estimate, RecordView
@@ -47,7 +53,6 @@ from casid.estimation.simulation.simulation_estimate import (
     channel_notes,
     estimate_of,
 )
-from casid.model.effects.names import effect_words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +62,7 @@ class Judgement:
     Attributes
     ----------
     fitted, held_out : RMS errors before and after, and the noise floor, see `Diagnosis`.
-    bounds : parameters that the fit holds at a bound, where they decide the verdict.
+    doubts : what contradicts the model although no cause was found for it.
     remainder : the test of the residual, and its description.
     """
 
@@ -75,7 +80,7 @@ class Judgement:
     moved: tuple[Moved, ...]
     remaining: Remaining | None
     remainder: Remainder | None
-    bounds: dict[str, str]
+    doubts: Doubts = NO_DOUBTS
 
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
@@ -92,16 +97,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     baseline = estimate_of(
         problem, own_fit, validation(own_fit, start.recorded), bars=bars_of(own_fit, own)
     )
-    extended = None
-    if extended_fit is not None:
-        bars = bars_of(extended_fit, found.corrected, [a.rounding for a in found.adopted])
-        extended = estimate_of(
-            problem, extended_fit, validation(extended_fit, start.split), bars=bars
-        )
-        if extended.model is not None:
-            extended = replace(
-                extended, model=extended_model(found, extended.model, baseline.model)
-            )
+    extended = _extended(problem, found, baseline)
     remainder = None
     if not start.why_undecided:
         found.search.progress("test the residual")
@@ -112,20 +108,14 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     part = held if held.get("extended_rmse") else fitted
     causes = causes_of(found, extended or baseline, problem.columns())
     negated = partial(_with_the_sign, found)
-    chance: dict[str, float] = {}
-    if part is held:
-        covariance, floor = (extended or baseline).covariance, held["noise_floor"]
-        of = partial(chance_over_floor, found.best_fit, covariance, found.at, start.split, floor)
-        chance = attempt("what chance gives to the held-out error", of) or {}
-    remaining = what_remains(
-        [(c.kind, c.where, c.share) for c in negated(causes)],
+    remaining = _remaining(
+        found,
+        negated(causes),
         part,
-        p_value=remainder.p_value if remainder is not None else None,
-        test="test of the residual (spectrum, dependence on states and inputs, change in time)",
-        false_alarm_rate=remainder.level if remainder is not None else false_alarm_rate,
-        coloured=(extended or baseline).fit.coloured,
-        is_random=bool(disturbances),
-        chance=chance,
+        part is held,
+        extended or baseline,
+        remainder,
+        false_alarm_rate,
     )
     bounds = bounds_met(problem, found.best_fit)
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
@@ -134,15 +124,23 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     compare = partial(_compared_with_functions, found, causes, remainder)
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)
-    causes = negated(causes)
+    causes = told_once(negated(causes), found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = unlike_held_out(found, fitted, held)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
+    doubts = _doubts(found, remainder, bounds)
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
         sentence=verdict_sentence(
-            verdict, causes, part, why_undecided, problem, disturbances, start.why_undecided
+            verdict,
+            causes,
+            part,
+            why_undecided,
+            problem,
+            disturbances,
+            start.why_undecided,
+            doubts,
         ),
         why_undecided=why_undecided,
         causes=tuple(causes),
@@ -156,8 +154,69 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         moved=moved_parameters(baseline, extended) if extended is not None else (),
         remaining=remaining if extended is not None or remainder is not None else None,
         remainder=remainder,
-        bounds=bounds,
+        doubts=doubts,
     )
+
+
+def _extended(problem: Problem, found: Findings, baseline: Estimate) -> Estimate | None:
+    """The estimate of the extended model; None where nothing was adopted."""
+    fit, split = found.extended_fit, found.baseline.split
+    if fit is None:
+        return None
+    bars = bars_of(fit, found.corrected, [a.rounding for a in found.adopted])
+    extended = estimate_of(problem, fit, validation(fit, split), bars=bars)
+    if extended.model is None:
+        return extended
+    return replace(extended, model=extended_model(found, extended.model, baseline.model))
+
+
+def _remaining(
+    found: Findings,
+    causes: Sequence[Cause],
+    part: Mapping[str, Mapping[str, float]],
+    is_held: bool,
+    estimate: Estimate,
+    remainder: Remainder | None,
+    false_alarm_rate: float,
+) -> Remaining | None:
+    """How much the causes explain, and whether what they leave is noise."""
+    chance: dict[str, float] = {}
+    if is_held:
+        split, floor = found.baseline.split, part["noise_floor"]
+        of = partial(chance_over_floor, found.best_fit, estimate.covariance, found.at, split, floor)
+        attempt = found.search.attempts.attempt
+        chance = attempt("what chance gives to the held-out error", of) or {}
+    return what_remains(
+        [(c.kind, c.where, c.share) for c in causes],
+        part,
+        p_value=remainder.p_value if remainder is not None else None,
+        test="test of the residual (spectrum, dependence on states and inputs, change in time)",
+        false_alarm_rate=remainder.level if remainder is not None else false_alarm_rate,
+        noise=NoiseFound(
+            estimate.fit.coloured,
+            is_random=remainder is not None and bool(remainder.disturbances),
+            is_of_inputs=_has_input_noise(found.at),
+            chance=chance,
+        ),
+    )
+
+
+def _has_input_noise(at: Weighted) -> bool:
+    """True if noise of a measured input is in the noise model: it moves the outputs."""
+    inputs = at.model.inputs
+    return any(
+        sd > 0 and source in inputs and inputs[source].kind == "measured"
+        for source, sd in at.full.source_sd.items()
+    )
+
+
+def _doubts(found: Findings, remainder: Remainder | None, bounds: Mapping[str, str]) -> Doubts:
+    """What contradicts the model, named or not."""
+    apart = disagreements(found.best_fit) if not found.baseline.why_undecided else []
+    is_more = (
+        remainder is not None and remainder.p_value < remainder.level and not remainder.disturbances
+    )
+    return Doubts(is_more, tuple(apart), bounds)
 
 
 def _undecided(
@@ -242,7 +301,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         notes += [poor] if poor else []
     if not base.why_undecided:
         notes += (base.why_doubtful,) if base.why_doubtful else ()
-        notes += disagreements(found.best_fit)
+        notes += judged.doubts.disagreements
         reported = judged.extended or judged.baseline
         notes += weak_parameters(found.at, partial(std_error, found.at.fit), reported)
     if negated is not None and negated.reference:
@@ -256,12 +315,6 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         "not an input of its own"
         for channel in search.references or ()
     ]
-    notes += refusal_notes(search.refused)
+    notes += refusal_notes(search.refused, judged.causes)
     notes += [why for why in search.refitting.left_out.values() if why]
     return (*notes, *search.attempts.notes())
-
-
-def refusal_notes(refused: Sequence[tuple[Candidate, str]]) -> list[str]:
-    """A note on each effect that was refused, with the reason of the last round."""
-    reasons = {effect_words(c.effect.kind, c.effect.where): why for c, why in refused}
-    return [f"{words} {NOT_ACCEPTED}: {why}" for words, why in reasons.items()]

@@ -32,7 +32,7 @@ from casid.diagnosis.search.residual_check import tested_residual
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, ROUNDS
 from casid.diagnosis.unexplained.description import Unexplained, unexplained
-from casid.diagnosis.verdict.cause import Alternative, Cause
+from casid.diagnosis.verdict.cause import SIMILAR, Alternative, Cause
 from casid.diagnosis.verdict.remainder import Remaining
 from casid.diagnosis.verdict.unnamed_alternatives import UnnamedAlternative
 from casid.model.effects.effect import OF_SAMPLES
@@ -180,7 +180,7 @@ def with_the_unknown(
             "excess misfit, and the remainder is not noise"
         )
         alternatives = (
-            Alternative(nearest.kind, nearest.where, nearest.p_value, why),
+            Alternative(nearest.kind, nearest.where, nearest.p_value, why, nearest.description),
             *(a for a in nearest.alternatives if a.kind != "unknown"),  # as near as the nearest
         )
         unknown = _unknown(where, remainder, alternatives, share=nearest.share)
@@ -197,7 +197,7 @@ def _nearest(refused: Sequence[tuple[Candidate, str]]) -> Iterator[Alternative]:
         is_new = c.effect.key not in keys and c.effect.kind != "unknown" and not is_imitator(c)
         if is_new and len(keys) < ROUNDS.rivals:
             keys.add(c.effect.key)
-            text = f"significant and of a similar effect, but {why}"
+            text = f"{SIMILAR} {why}"
             yield Alternative(c.effect.kind, c.effect.where, 1.0, text, c.effect.description)
 
 

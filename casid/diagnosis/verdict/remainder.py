@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from casid.data.files import plain_fields
-from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, RESIDUAL
 from casid.estimation.estimate import Estimate, Estimated
 from casid.model.effects.effect import OF_SAMPLES
 
@@ -63,6 +63,31 @@ class Explained:
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
         return plain_fields(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFound:
+    """What is known of the noise that a remainder is compared with.
+
+    Attributes
+    ----------
+    coloured : output -> what its autocorrelated residual is like (`Agreement.coloured`).
+    is_random : the remainder is a disturbance, and no deficiency of the model.
+    is_of_inputs : noise of measured inputs was found, which colours a residual.
+    chance : output -> how far above the floor its error may be by chance (`chance_over_floor`).
+    """
+
+    coloured: Mapping[str, str] = field(default_factory=dict)
+    is_random: bool = False
+    is_of_inputs: bool = True
+    chance: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def coloured_by(self) -> str:
+        """What makes the residual autocorrelated; empty where that is not known."""
+        if self.is_random:
+            return "the disturbance"
+        return "noise of measured inputs" if self.is_of_inputs else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,9 +150,7 @@ def what_remains(
     p_value: float | None = None,
     test: str = "",
     false_alarm_rate: float = 0.05,
-    coloured: Mapping[str, str] | None = None,
-    is_random: bool = False,
-    chance: Mapping[str, float] | None = None,
+    noise: NoiseFound | None = None,
 ) -> Remaining | None:
     """The remainder of the misfit, from the RMS errors of one part of the records.
 
@@ -139,9 +162,7 @@ def what_remains(
         under "baseline_rmse", "extended_rmse" (empty where nothing was named) and "noise_floor".
     p_value, test : of the test of the remaining residual, and the test's name.
     false_alarm_rate : below it, the test rejects that the remainder is noise.
-    coloured : output -> what its autocorrelated residual is like (`Agreement.coloured`).
-    is_random : the remainder is a disturbance, and no deficiency of the model.
-    chance : output -> how far above the floor its error may be by chance (`chance_over_floor`).
+    noise : what is known of the noise; white, and without chance in the errors, where not given.
 
     Returns
     -------
@@ -165,9 +186,7 @@ def what_remains(
         p_value=p_value,
         test=test,
         sentence=_sentence(explained, left, over)
-        + _kind_of_remainder(
-            over, p_value, false_alarm_rate, coloured or {}, is_random, chance or {}
-        ),
+        + _kind_of_remainder(over, p_value, false_alarm_rate, noise or NoiseFound()),
     )
 
 
@@ -188,30 +207,53 @@ def _kind_of_remainder(
     over: Mapping[str, float],
     p_value: float | None,
     alpha: float,
-    coloured: Mapping[str, str],
-    is_random: bool,
-    chance: Mapping[str, float],
+    noise: NoiseFound,
 ) -> str:
     """Whether the remainder is noise: one answer from the test, the floor and the whiteness."""
     is_more = p_value is not None and p_value < alpha
     above = [o for o, ratio in over.items() if ratio > JUDGING.at_floor]
-    is_above = any(over[o] > chance.get(o, 0.0) for o in above)
-    if is_random and (is_more or is_above):
+    is_above = any(over[o] > noise.chance.get(o, 0.0) for o in above)
+    if noise.is_random and (is_more or is_above):
         return " The remainder is a random disturbance, not an error of the model."
     if is_more:
-        return " The remainder is more than noise: part of the misfit is unexplained."
+        like = "more than noise" if above else "no larger than the noise, but it is not random"
+        return f" The remainder is {like}: part of the misfit is unexplained."
     if is_above:
         why = " that no effect of the catalogue explains" if p_value is not None else ""
         return f" An error above the floor remains{why}."
-    by_chance = " That is within what chance and the errors of the estimates give." if above else ""
-    said = "; ".join(f"{output}: {text}" for output, text in coloured.items())
+    by_chance = _by_chance(above, over, noise.chance) if above else ""
+    what = "the remainder of the fitted part" if above else "the remainder"
+    what = f"{by_chance} {what[:1].upper()}{what[1:]}"
+    said = "; ".join(f"{output}: {text}" for output, text in noise.coloured.items())
     if p_value is None:
         also = f", and the residual is autocorrelated ({said})" if said else ""
         return by_chance or f" No error remains above the floor{also}."
     if not said:
-        return f"{by_chance} The remainder is consistent with noise."
-    by = "the disturbance" if is_random else "noise of measured inputs"
+        return f"{what} is consistent with noise."
+    why = f", as {noise.coloured_by} makes it" if noise.coloured_by else ""
     return (
-        f"{by_chance} The remainder is consistent with the noise that was estimated, which is "
-        f"coloured: the residual is autocorrelated ({said}), as {by} makes it."
+        f"{what} is consistent with the noise that was estimated, which is coloured: the residual "
+        f"is autocorrelated ({said}){why}."
+    )
+
+
+def _by_chance(above: Sequence[str], over: Mapping[str, float], chance: Mapping[str, float]) -> str:
+    """That no error above the floor is more than chance may give, and the number behind it."""
+    worst = max(above, key=lambda o: over[o])
+    limit = chance[worst]
+    rare = f"in all but one record of {1 / RESIDUAL.held_out_chance:.0f}"
+    if limit <= JUDGING.unlike:
+        return (
+            f" By chance and by the errors of the estimates it may be up to {limit:.3g} times the "
+            f"floor in the held-out part ({rare})."
+        )
+    size = (
+        f"of up to {limit:.2g}"
+        if limit < DESCRIPTION.told
+        else f"of more than {DESCRIPTION.told:g}"
+    )
+    return (
+        " The held-out part tells little: it has few independent samples, or lies far from what "
+        f"was fitted. An error there {size} times the floor may be due to chance and to the errors "
+        f"of the estimates ({rare})."
     )

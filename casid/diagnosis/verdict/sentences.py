@@ -12,7 +12,7 @@ from casid.diagnosis.evidence.disturbances import Disturbance, is_seen
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
-from casid.diagnosis.verdict.cause import Cause, Verdict
+from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
 from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words, either_words, place_words
@@ -211,15 +211,17 @@ def verdict_sentence(
     problem: Problem,
     disturbances: Sequence[Disturbance] = (),
     why_untested: str = "",
+    doubts: Doubts = NO_DOUBTS,
 ) -> str:
     """The diagnosis in one or two sentences."""
     if verdict == "undecided":
         return f"This record does not determine whether the model is adequate: {why_undecided}."
     if verdict == "adequate":
-        text = (
-            "Nothing in this record contradicts the model: no effect of the catalogue is "
-            "significant and improves the held-out part."
-        )
+        text = "o effect of the catalogue is significant and improves the held-out part"
+        if doubts.said:
+            text = f"N{text}, but {doubts.said}."
+        else:
+            text = f"Nothing in this record contradicts the model: n{text}."
         said = "; ".join(d.sentence for d in disturbances)
         return f"{text} {said[0].upper()}{said[1:]}." if said else text
     text = _joined([_says_cause(c) for c in causes])
@@ -267,10 +269,12 @@ def _says_cause(c: Cause) -> str:
     """A cause in words, or everything that it may be."""
     if not c.tied:
         return c.sentence
-    if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
+    every: list[Cause | Alternative] = [c, *c.alternatives]
+    if all((e.kind, e.words) == (c.kind, effect_words(c.kind, e.where)) for e in every):
+        # The place alone is open.
         places = either_words(place_words(a.where) for a in c.alternatives if a.where != c.where)
         return f"{c.sentence} (this record does not separate it from the same effect in {places})"
-    words = [effect_words(c.kind, c.where), *(a.words for a in c.alternatives)]
+    words = [c.words, *(a.words for a in c.alternatives)]
     words = list(dict.fromkeys(words))
     if len(words) > DESCRIPTION.names:
         first = words[: DESCRIPTION.names - 1]

@@ -11,6 +11,7 @@ from casid.errors import ModelError, UnitError
 from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Sizes, switched_on
+from casid.model.effects.names import ACTS_LATE, LATER_THAN_RECORDED, RECORDED_LATE
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
@@ -60,7 +61,14 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
         carry(new, Stage("delay_input", channel, names[0]))
 
     return Effect(
-        "time_delay", channel, (p,), apply_input, sided="positive", limit=longest, priority=1
+        "time_delay",
+        channel,
+        (p,),
+        apply_input,
+        sided="positive",
+        limit=longest,
+        priority=1,
+        description=RECORDED_LATE,
     )
 
 
@@ -101,12 +109,6 @@ def dead_time(model: Model, channel: str, longest: float) -> Effect:
         shape="" if is_command else ACTS_LATE,
         description=f"{ACTS_LATE}, by a dead time" if is_command else LATER_THAN_RECORDED,
     )
-
-
-ACTS_LATE = "acts late"
-"""Shape of the delay of a measured input that is not its sensor's."""
-
-LATER_THAN_RECORDED = "acts later than it is recorded"
 
 
 def commands_of(model: Model) -> list[str]:

@@ -38,13 +38,34 @@ _NAMES = {
     "unknown": "unidentified term",
 }
 
+ACTS_LATE = "acts late"
+"""Shape of the delay of a measured input that is not its sensor's."""
 
-def effect_words(kind: str, where: str, channels: frozenset[str] = frozenset()) -> str:
+LATER_THAN_RECORDED = "acts later than it is recorded"
+RECORDED_LATE = "is recorded later than it acts"
+"""What a measured input does: the system is late, or its sensor is. The one undoes the other."""
+
+ADVANCE = "an advance"
+"""What a delay that is turned round is."""
+
+_DEAD_TIME = "dead time of {where} (it acts late)"
+_DELAYS = {
+    ACTS_LATE: _DEAD_TIME,
+    LATER_THAN_RECORDED: _DEAD_TIME,
+    ADVANCE: "advance of {where}",
+    RECORDED_LATE: "delay of the record of {where} (its sensor is late)",
+}
+
+
+def effect_words(
+    kind: str, where: str, channels: frozenset[str] = frozenset(), *, description: str = ""
+) -> str:
     """An effect and its place in words; a kind of the user's own keeps its name.
 
     Parameters
     ----------
     channels : names that are channels; any other place of a force is a balance.
+    description : of the effect, where it is known: it tells the two delays of an input apart.
     """
     if kind not in _NAMES:
         return f"{kind} in {where}"
@@ -55,6 +76,9 @@ def effect_words(kind: str, where: str, channels: frozenset[str] = frozenset()) 
     is_balance = at.isidentifier() and at not in channels
     place = f"the {at} balance" if is_balance else at
     own, _, source = at.partition("~")
+    delay = _DELAYS.get(description) or _DELAYS.get(variant)
+    if kind == "time_delay" and delay:
+        return delay.format(where=at)
     words = _NAMES[kind].format(place=place, where=at, own=own, source=source or "the state")
     return f"{words} ({variant})" if variant else words
 

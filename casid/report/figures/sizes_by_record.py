@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 from casid.diagnosis.diagnosis import Cause
-from casid.model.effects.names import effect_words
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, MEASURED, axis_text, figure_text, visible_text
 
@@ -47,7 +46,7 @@ def by_record_figure(cause: Cause) -> Any:
     figure.ticks = 5
     return figure.done(
         "Record by record with 95 % intervals: "
-        f"{visible_text(effect_words(cause.kind, cause.where))}. One value does not explain all "
+        f"{visible_text(cause.words)}. One value does not explain all "
         "records.",
         (),
     )

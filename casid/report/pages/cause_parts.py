@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from casid.diagnosis.diagnosis import Cause, Diagnosis, Ranked
 from casid.diagnosis.facts import Facts
 from casid.estimation.estimate import Estimated
-from casid.model.effects.names import effect_words
 from casid.report.document import (
     Bullets,
     Figure,
@@ -28,7 +27,7 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
 
     `by_record` shows the values by record; None where one value explains all.
     """
-    title = effect_in_words(c.kind, c.where)
+    title = effect_in_words(c.kind, c.where, c.description)
     facts = f"p {p_text(c.p_value)}"
     if c.share > 0:
         facts += f"; removes {100 * c.share:.0f} % of the misfit"
@@ -36,7 +35,7 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
         _SIZES,
         [_size(p) for p in c.parameters],
         numbers=(1, 2, 3),
-        caption=f"Parameters of {effect_words(c.kind, c.where)}",
+        caption=f"Parameters of {c.words}",
     )
     parts: list[Part] = [
         _as_sentence(c.sentence),
@@ -49,7 +48,7 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
     if c.alternatives:
         others = [
             (
-                *effect_in_words(a.kind, a.where),
+                *effect_in_words(a.kind, a.where, a.description),
                 ("" if a.is_as_likely else f" (p {p_text(a.p_value)} against the named one)")
                 + (f": {a.why}" if a.why else ""),
             )
@@ -66,7 +65,7 @@ def _others(c: Cause) -> Iterator[str]:
     for a in c.alternatives if c.tied else ():
         if (a.kind, a.where) not in seen:
             seen.add((a.kind, a.where))
-            yield from (", ", *effect_in_words(a.kind, a.where))
+            yield from (", ", *effect_in_words(a.kind, a.where, a.description))
 
 
 def _size(p: Estimated) -> Sequence[str]:

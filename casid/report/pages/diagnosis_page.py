@@ -142,11 +142,7 @@ def _how_sure(d: Diagnosis, facts: Facts) -> Iterator[Card]:
         text = p if p.startswith("<") else f"= {p}"
         others = f"; not separated from {len(c.tied) - 1} other" if c.tied else ""
         others += "s" if len(c.tied) > 2 else ""
-        yield Card("significance", f"p {text}", "", "".join((*_words(c.kind, c.where), others)))
-
-
-def _words(kind: str, where: str) -> Inline:
-    return (effect_in_words(kind, where)[0],)
+        yield Card("significance", f"p {text}", "", "".join((c.words, others)))
 
 
 def _changed_equations(d: Diagnosis) -> Equations | None:
@@ -163,7 +159,7 @@ def _new_parameters(d: Diagnosis) -> Table:
     for c in d.causes:
         for p in c.parameters:
             value, error, between = estimated_texts(p)
-            words = effect_in_words(c.kind, c.where)
+            words = effect_in_words(c.kind, c.where, c.description)
             rows.append((p.name, value, error, between, p.unit, words))
     return Table(
         ("new parameter", "estimate", "std. error", "95 % interval", "unit", "of"),

@@ -17,10 +17,10 @@ def inseparable(d: Diagnosis) -> Table | str | None:
     rows: list[tuple[Inline, ...]] = []
     listed = set()
     for c in d.causes:
-        same = ("indistinguishable from ", *effect_in_words(c.kind, c.where))
+        same = ("indistinguishable from ", *effect_in_words(c.kind, c.where, c.description))
         for a in c.alternatives:
             listed.add((a.kind, a.where))
-            rows.append((effect_in_words(a.kind, a.where), same, a.why))
+            rows.append((effect_in_words(a.kind, a.where, a.description), same, a.why))
     for r in d.ranking:
         if r.status == "cannot be rejected" and (r.kind, r.where) not in listed:
             rows.append((effect_in_words(r.kind, r.where), r.status, r.why))

@@ -82,8 +82,10 @@ def _gain(d: Diagnosis) -> Table:
 def _cause(i: int, c: Cause) -> Iterator[str]:
     values = ", ".join(_value(p) for p in c.parameters)
     like = c.description.partition(". ")[0].rstrip(".")  # the whole stands under "unknown"
+    if c.kind == "time_delay" and c.words != effect_words(c.kind, c.where):
+        like = ""  # the words say it
     yield (
-        f"  {i}. {'one of: ' if c.tied else ''}{effect_words(c.kind, c.where)} [{c.kind}] "
+        f"  {i}. {'one of: ' if c.tied else ''}{c.words} [{c.kind}] "
         f"(p = {c.p_value:.1e})"
         + (f": {like}" if like else "")
         + (f"{';' if like else ':'} {values}" if values else "")
@@ -97,9 +99,8 @@ def _cause(i: int, c: Cause) -> Iterator[str]:
 
 def _remainder(c: Cause) -> Iterator[str]:
     like = f" ({c.description.rstrip('.')})" if c.kind == "unknown" and c.description else ""
-    words = effect_words(c.kind, c.where)
     values = "".join(f"{_value(p)}, " for p in c.parameters)
-    yield f"{words}{like}: {values}{100 * c.share:.2g} % of the misfit, p = {c.p_value:.1e}"
+    yield f"{c.words}{like}: {values}{100 * c.share:.2g} % of the misfit, p = {c.p_value:.1e}"
 
 
 def _value(p: Estimated) -> str:
@@ -178,9 +179,9 @@ def effect_name(kind: str, where: str) -> tuple[str, ...]:
     return Code(kind), " in ", Code(where)
 
 
-def effect_in_words(kind: str, where: str) -> tuple[str, ...]:
+def effect_in_words(kind: str, where: str, description: str = "") -> tuple[str, ...]:
     """An effect and its place in words, and its identifier."""
-    return effect_words(kind, where), " ", Identifier(kind)
+    return effect_words(kind, where, description=description), " ", Identifier(kind)
 
 
 def advice_document(advice: Advice) -> Document:

@@ -25,6 +25,8 @@ def check_document(found: CheckReport) -> Document:
             f"{found.N}, every Ts = {found.Ts:.6g} s ({1 / found.Ts:.6g} Hz), "
             f"{_duration_text(found.duration)} from t0 = {found.t0:g} s"
         )
+        if found.t0 is not None:
+            text += f", the last at {found.t0 + (found.N - 1) * found.Ts:.9g} s"
         parts.append(("samples", text))
     if found.clock:
         c = found.clock

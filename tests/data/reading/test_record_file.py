@@ -61,6 +61,27 @@ def test_a_file_is_read_in_si_units_with_its_history(csv):
     assert step in record.provenance
 
 
+def test_a_unit_that_a_column_s_name_ends_in_stands_once(csv):
+    record = read_record(csv(rows(np.arange(9.0), header="Zeit [s],u [V],kraft_N")))
+    said = "; ".join(record.provenance)
+    assert "time column Zeit [s];" in said
+    assert "column u [V] to u [V];" in said
+    assert "column kraft_N [N] to kraft_N [N];" in said
+
+
+def test_a_header_with_more_names_than_columns_is_not_taken_for_numbers(csv):
+    path = csv(rows(np.arange(9.0), header="# time,box temp,P,I,D"))
+    with pytest.raises(DataError) as refused:
+        read_record(path)
+    assert "the header names 5 columns, the rows hold 3 values" in str(refused.value)
+    assert "the last names are I, D. Take away the names that have no column" in str(refused.value)
+
+
+def test_a_comment_above_numbers_is_no_header(csv):
+    with pytest.raises(DataError, match="the first line holds numbers, not column names"):
+        read_record(csv(rows(np.arange(9.0), header="# test of 3 May, second run")))
+
+
 def test_columns_are_mapped_with_their_own_units(csv):
     path = csv(rows(T, np.full(50, 180.0), np.full(50, 2.0), header="t,roll,pull"))
     record = read_record(

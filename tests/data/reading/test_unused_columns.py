@@ -70,7 +70,7 @@ def test_numeric_columns_that_move_are_candidates_and_others_are_named_with_the_
     assert e.record.units["Wind_vorn"] == "N"
     assert e.record.units["c_2_Sensor"] == "1"
     said = "\n".join(e.record.provenance)
-    assert "column Wind vorn [kN] [kN] to Wind_vorn [N]: times 1000; unit from its name" in said
+    assert "column Wind vorn [kN] to Wind_vorn [N]: times 1000; unit from its name" in said
     assert "'Wind vorn [kN]' is not used by the model: a diagnosis tests it" in said
     for column, why in {
         "x again [mm]": "a copy of column 'x_meas', up to scale and offset",

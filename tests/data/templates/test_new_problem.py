@@ -192,3 +192,24 @@ def test_a_column_with_one_cell_of_text_is_named_where_its_signal_is_missing(tmp
     form = casid.FileFormat(missing=("ERR",))
     new = casid.new_problem(file, "dc-motor", known={"R": 1.0, "K": 0.1, "N": 1.0}, form=form)
     assert "speed" in new.channels
+
+
+@pytest.mark.parametrize(
+    ("template", "header", "sizes", "suggestion"),
+    [
+        ("thermal", "t,Ph,Ti,Ta,Th", (3e3, 20.0, 5.0, 60.0), 'temperature="Ti":degC'),
+        ("thermal", "t,Ph,Ti,Ta,Th", (3e3, 293.0, 278.0, 333.0), 'temperature="Ti":K'),
+        ("thermal", "t,Ph,Ti,Ta,Th", (3e3, 200.5, 278.0, 333.0), 'temperature="Ti":UNIT'),
+        ("dc-motor", "t,pwm,rpm", (255.0, 700.0), 'voltage="pwm":UNIT'),
+    ],
+)
+def test_the_likeliest_column_is_suggested_with_a_unit_that_its_values_fit(
+    tmp_path: Path, template: str, header: str, sizes: tuple[float, ...], suggestion: str
+) -> None:
+    """Numbers that fit either unit leave it to the user; a column that has a part is none."""
+    t, *more = waves(len(sizes))
+    columns = [size + wave for size, wave in zip(sizes, more, strict=True)]
+    data = written_for(tmp_path, header, t, *columns)
+    with pytest.raises(casid.DataError) as refused:
+        casid.new_problem(data, template)
+    assert f"for example --map {suggestion}, or take" in str(refused.value)

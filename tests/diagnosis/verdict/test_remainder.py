@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from casid.data.files import write_json
-from casid.diagnosis.verdict.remainder import Moved, moved_parameters, what_remains
+from casid.diagnosis.verdict.remainder import Moved, NoiseFound, moved_parameters, what_remains
 from casid.estimation.estimate import Estimated
 from tests.support import sample_parts, samples
 
@@ -60,14 +60,56 @@ def test_the_sentence_says_what_the_numbers_say(p_value, after, words):
 @pytest.mark.parametrize(("chance", "is_more"), [(1.7, False), (1.5, True)])
 def test_an_error_that_chance_gives_is_no_unexplained_one(chance: float, is_more: bool) -> None:
     part = {"baseline_rmse": {"x": 3.0}, "extended_rmse": {"x": 1.6}, "noise_floor": {"x": 1.0}}
-    r = what_remains([("offset", "torque", 1.0)], part, p_value=0.5, chance={"x": chance})
+    r = what_remains(
+        [("offset", "torque", 1.0)], part, p_value=0.5, noise=NoiseFound(chance={"x": chance})
+    )
     assert ("no effect of the catalogue explains" in r.sentence) == is_more
-    assert ("within what chance" in r.sentence) != is_more
+    said = "An error there of up to 1.7 times the floor may be due to chance and to the errors of"
+    assert (said in r.sentence) != is_more
+    assert ("The remainder of the fitted part is consistent with noise" in r.sentence) != is_more
+
+
+@pytest.mark.parametrize(
+    ("chance", "size", "is_short"),
+    [(1.3, "up to 1.3", False), (4.2, "up to 4.2", True), (1.4e4, "more than 100", True)],
+)
+def test_a_held_out_part_that_tells_little_is_said_to(
+    chance: float, size: str, is_short: bool
+) -> None:
+    part = {"baseline_rmse": {"x": 3.0}, "extended_rmse": {"x": 1.2}, "noise_floor": {"x": 1.0}}
+    noise = NoiseFound(chance={"x": chance})
+    r = what_remains([("offset", "torque", 1.0)], part, p_value=0.5, noise=noise)
+    assert f"{size} times the floor" in r.sentence
+    assert "in all but one record of 1000" in r.sentence
+    assert ("The held-out part tells little" in r.sentence) == is_short
+
+
+def test_a_residual_that_is_not_random_is_not_said_to_be_larger_than_the_noise_where_it_is_not():
+    part = {"baseline_rmse": {"x": 0.6}, "noise_floor": {"x": 1.0}}
+    said = what_remains([], part, p_value=1e-6).sentence
+    assert "The remainder is no larger than the noise, but it is not random" in said
+    assert "more than noise" not in said
+
+
+@pytest.mark.parametrize(
+    ("noise", "said"),
+    [
+        (NoiseFound({"x": "4 of 20 lags"}), "as noise of measured inputs makes it"),
+        (NoiseFound({"x": "4 of 20 lags"}, is_random=True), "as the disturbance makes it"),
+        (
+            NoiseFound({"x": "4 of 20 lags"}, is_of_inputs=False),
+            "autocorrelated (x: 4 of 20 lags).",
+        ),
+    ],
+)
+def test_inputs_without_noise_do_not_colour_a_residual(noise: NoiseFound, said: str) -> None:
+    part = {"baseline_rmse": {"x": 1.0}, "noise_floor": {"x": 1.0}}
+    assert said in what_remains([], part, p_value=0.5, noise=noise).sentence
 
 
 def test_what_a_random_disturbance_leaves_is_no_unexplained_misfit():
     part = {"baseline_rmse": {"gyro": 1.6}, "noise_floor": {"gyro": 1.0}}
-    r = what_remains([], part, p_value=1e-6, is_random=True)
+    r = what_remains([], part, p_value=1e-6, noise=NoiseFound(is_random=True))
     assert "The remainder is a random disturbance" in r.sentence
     assert "unexplained" not in r.sentence
 

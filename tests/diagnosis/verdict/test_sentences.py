@@ -13,8 +13,8 @@ import casid
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED
-from casid.diagnosis.verdict.judgement import refusal_notes
+from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Doubts
+from casid.diagnosis.verdict.gain import changes
 from casid.diagnosis.verdict.sentences import (
     noise_text,
     says,
@@ -134,12 +134,6 @@ def test_an_alternative_is_described_as_its_bic_says(gap: float, said: str):
     assert said in why_alternative(best, other)
 
 
-def test_an_effect_that_several_rounds_refuse_has_one_note():
-    effect = SimpleNamespace(kind="offset", where="torque")
-    (note,) = refusal_notes([(SimpleNamespace(effect=effect), why) for why in ("one", "two")])
-    assert note.endswith(f"{NOT_ACCEPTED}: two")
-
-
 def test_of_effects_that_were_not_accepted_the_text_has_three_and_counts_the_others():
     notes = tuple(f"effect {i} {NOT_ACCEPTED}: too weak" for i in range(8))
     text = str(changed(small(), notes=("the first", *notes, "the last")))
@@ -226,6 +220,52 @@ def test_what_was_not_named_extends_nothing_and_the_advice_does_not_say_so():
     assert "Use the extended model" in advice(
         "deficient", [unknown, replace(NAMED, alternatives=())], (), ""
     )
+
+
+SPIKES = Cause("outliers", "gyro", 1e-9, (Estimated("share", 0.01, "1"),), sentence="it has spikes")
+ALONE = replace(NAMED, alternatives=())
+DISAGREE = Doubts(disagreements=("the records disagree on k",))
+UNEXPLAINED = Doubts(is_more_than_noise=True)
+
+
+def test_where_spoilt_samples_and_nothing_with_a_name_were_found_there_is_no_model_to_use():
+    unknown = Cause("unknown", "torque", 1e-3, ())
+    said = advice("deficient", [SPIKES, unknown], (), "")
+    assert said.startswith("Correct the sensor or the logger, or mark these samples as missing. No")
+    assert "extended model" not in said
+
+
+def test_a_model_with_the_same_errors_is_not_recommended():
+    said = advice("deficient", [ALONE], (), "", is_same=True)
+    assert said.startswith("Keep the present model: the extended one has the same errors.")
+
+
+@pytest.mark.parametrize(("after", "is_changed"), [(0.1, False), (0.10004, False), (0.099, True)])
+def test_an_error_is_the_same_to_its_third_digit(after: float, is_changed: bool):
+    part = {"baseline_rmse": {"gyro": 0.1}, "extended_rmse": {"gyro": after}}
+    assert changes(part) is is_changed
+
+
+@pytest.mark.parametrize(
+    ("doubts", "said", "todo"),
+    [
+        (UNEXPLAINED, "but the remainder is not random.", "Use the model with care"),
+        (DISAGREE, "but the records disagree on a parameter by", "Diagnose each record by itself"),
+    ],
+)
+def test_what_contradicts_the_model_is_said_where_no_cause_was_found(
+    doubts: Doubts, said: str, todo: str
+):
+    text = verdict_sentence("adequate", [], {}, "", pendulum.problem, doubts=doubts)
+    assert said in text
+    told = advice("adequate", [], (("offset", "torque"),), "", doubts=doubts)
+    assert told.startswith(todo)
+    spoilt = advice("deficient", [SPIKES], (), "", doubts=doubts)
+    assert f"They do not explain all: {doubts.said}." in spoilt
+    for each in (text, told, spoilt):
+        assert "othing in this record contradicts" not in each
+        assert "may be used" not in each
+    assert "nothing in this record contradicts" in advice("deficient", [SPIKES], (), "")
 
 
 def test_a_drift_says_between_which_instants_it_is_and_where_the_parameter_has_its_value():
