@@ -120,8 +120,6 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
             extended = corrected.fit
         else:
             corrected = None
-    named_in_the_end = {a.candidate.effect.key for a in adopted}
-    search.refused = [r for r in search.refused if r[0].effect.key not in named_in_the_end]
     return Findings(
         baseline,
         search,
