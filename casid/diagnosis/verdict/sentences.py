@@ -15,7 +15,7 @@ from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
 from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import effect_words, either_words, place_words
+from casid.model.effects.names import FLOW, OVERFLOW, effect_words, either_words, place_words
 from casid.model.identifiers import made_identifier
 from casid.model.quantities import quantity_text, quantity_texts
 
@@ -29,7 +29,7 @@ _SAYS = {
     "quadratic_stiffness": "{restoring} is not linear: it is stiffer to one side",
     "deadzone": "{restoring} has play (a dead zone)",
     "backlash": "the coupling of {where} has play (backlash)",
-    "end_stop": "a stop (or an overflow) limits the motion in {place}",
+    "end_stop": "a stop limits the motion in {place}",
     "cogging": "a force that is periodic in the position (cogging) acts in {place}",
     "offset": "a constant term acts in {place}",
     "periodic_disturbance": "an unrecorded periodic disturbance acts in {place}",
@@ -152,6 +152,9 @@ def says(effect: Effect, column: str = "") -> str:
         return f"{says_kind(effect.kind, effect.where)} ({change})"
     if effect.kind == "missing_mode" and effect.description:
         return effect.description
+    if effect.kind != "unknown" and effect.description.startswith((FLOW, OVERFLOW)):
+        there = f"the {effect.where} balance" if effect.where.isidentifier() else effect.where
+        return f"{effect.description}, is missing in {there}"
     if effect.kind == "time_delay" and effect.description:
         return f"the input {effect.where} {effect.description}"
     if effect.kind == "hold" and effect.description:

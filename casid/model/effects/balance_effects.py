@@ -16,6 +16,7 @@ from casid.errors import UnitError
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Sided, Sizes, Spread, is_one_sided
+from casid.model.effects.names import FLOW
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.model import Model
@@ -56,6 +57,7 @@ def quadratic_damping(model: Model, where: str | Place, about: float = 0.0) -> E
         lambda d_2: -d_2 * ca.fabs(v) * v,
         sided="positive",
         constants=constants,
+        description=_damping_words(place, "square", about),
     )
 
 
@@ -65,7 +67,22 @@ def cubic_damping(model: Model, where: str | Place, about: float = 0.0) -> Effec
     v = _about(place.velocity, about)
     p = Parameter("d_3", place.velocity_power(3), 0.0)
     constants = {"about": about} if about else {}
-    return force_along(place, "cubic_damping", p, lambda d_3: -d_3 * v**3, constants=constants)
+    return force_along(
+        place,
+        "cubic_damping",
+        p,
+        lambda d_3: -d_3 * v**3,
+        constants=constants,
+        description=_damping_words(place, "cube", about),
+    )
+
+
+def _damping_words(place: Place, power: str, about: float) -> str:
+    """What a law of damping is called in a store, which has no rate of motion."""
+    if place.is_mechanical:
+        return place.words
+    name = place.velocity_name or place.where
+    return f"{FLOW} the {power} of {name}{' from its mean' if about else ''}"
 
 
 def coulomb_friction(model: Model, where: str | Place, speed: float) -> Effect:

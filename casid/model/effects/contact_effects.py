@@ -12,6 +12,7 @@ from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import clipped_motion, force_along, stiffness_of
 from casid.model.effects.effect import Effect, known_while_null
+from casid.model.effects.names import OVERFLOW
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import CONTACT_RANGES
@@ -83,7 +84,8 @@ def end_stop(
         place.add(new, force)
         known_while_null(new, names)
 
-    acts = ", ".join(w for w in (place.words, _ACTS[side].format(q=name or place.where)) if w)
+    first = place.words if place.is_mechanical else OVERFLOW
+    acts = ", ".join(w for w in (first, _ACTS[side].format(q=name or place.where)) if w)
     shown = model.declared_units.get(name)
     return Effect(
         "end_stop",

@@ -164,11 +164,15 @@ class Effect:
         return new, tuple(names)
 
     def _shown_unit(self, model: Model, p: Parameter) -> str | None:
-        """The unit that a parameter is shown in: its own, or that of what it changes."""
-        unit = self.declared_units.get(p.name) or model.declared_units.get(self.where)
-        if unit is None or is_si(unit) or parse_unit(unit).offset or si_unit(unit) != p.unit:
+        """The unit that a parameter is shown in: its own, or that of what it changes.
+
+        A change of a temperature has no zero of its own; what declares degC for itself is a level.
+        """
+        own = self.declared_units.get(p.name)
+        unit = own or model.declared_units.get(self.where)
+        if unit is None or is_si(unit) or si_unit(unit) != p.unit:
             return None
-        return unit
+        return unit if own or not parse_unit(unit).offset else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -56,6 +56,9 @@ _DELAYS = {
     RECORDED_LATE: "delay of the record of {where} (its sensor is late)",
 }
 
+FLOW, OVERFLOW = "a flow that grows with", "an overflow"
+"""How the descriptions begin of laws that stores have where bodies have damping and stops."""
+
 
 def effect_words(
     kind: str, where: str, channels: frozenset[str] = frozenset(), *, description: str = ""
@@ -65,7 +68,8 @@ def effect_words(
     Parameters
     ----------
     channels : names that are channels; any other place of a force is a balance.
-    description : of the effect, where it is known: it tells the two delays of an input apart.
+    description : of the effect, where it is known: it tells the two delays of an input apart, and
+        the laws of a store from those of a body.
     """
     if kind not in _NAMES:
         return f"{kind} in {where}"
@@ -79,6 +83,9 @@ def effect_words(
     delay = _DELAYS.get(description) or _DELAYS.get(variant)
     if kind == "time_delay" and delay:
         return delay.format(where=at)
+    if description.startswith((FLOW, OVERFLOW)) and kind != "unknown":
+        law = description.partition(",")[0].removeprefix("an ").removeprefix("a ")
+        return f"{law} in {place}"
     words = _NAMES[kind].format(place=place, where=at, own=own, source=source or "the state")
     return f"{words} ({variant})" if variant else words
 

@@ -10,6 +10,7 @@ import casid
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.contact_effects import backlash, end_stop
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import effect_words
 
 Ts, N = 0.002, 1000
 
@@ -136,3 +137,21 @@ def test_a_coupling_without_a_damper_has_play_in_its_spring_alone():
     m.balance(w, "second", inertia=m.constant("m2", 2.0, "kg"), terms=[spring])
     m.output("position", x, "m")
     assert backlash(m, "v-w", 1e-4) is None
+
+
+def test_the_level_of_an_overflow_is_shown_on_the_scale_of_its_channel():
+    """A level in degC is one of that scale; a stiffness counts differences, in kelvin."""
+    m = casid.Model("room")
+    T = m.state("T", "degC", start=20.0)
+    heating = m.input("heating", "W", known=True)
+    m.balance(T, "heat", inertia=m.parameter("C", "J/K", start=1e5, lower=1e3), terms=[heating])
+    m.output("room", T, "degC")
+    effect = end_stop(m, "heat", "upper", 293.15, 5.0, 0.1)
+    assert effect is not None
+    assert effect.description == "an overflow, where T is above limit"
+    new, names = effect.extended(m)
+    assert names == ("k_stop", "limit")
+    assert new.declared_units["limit"] == "degC"
+    assert "k_stop" not in new.declared_units
+    words = effect_words(*effect.key, description=effect.description)
+    assert words == "overflow in the heat balance"
