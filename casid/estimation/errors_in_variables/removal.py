@@ -263,7 +263,7 @@ class _Root:
             self.free &= new == self.x + move
             self.x = new
         else:
-            return _NO_ROOT
+            return _misfit(self.criterion, at_fit) or _NO_ROOT
         if share < REMOVAL.least_information:
             return "it is most of what the inputs say of a combination of the unknowns"
         if _misfit(self.criterion, self.found):
