@@ -1,7 +1,8 @@
 """Clipping: samples of a channel that lie exactly at its limit while the motion goes beyond it.
 
 Values of a continuous channel hardly ever repeat. Many equal ones at the very top are a limit of
-the sensor or logger, unless the system itself rests there.
+the sensor or logger, unless the system itself rests there, or other levels repeat as much: a
+channel that is counted or rounded repeats the levels near which it stays.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import poisson
+from scipy.signal import correlate
+from scipy.stats import nbinom, poisson
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
@@ -44,11 +46,12 @@ def find_plateaus(
 ) -> Plateaus | None:
     """Plateaus at the ends of a channel's range, where the simulation goes beyond them.
 
-    Ties at the end are compared with those of the values next to it (Poisson): a coarse converter
-    repeats all of them. What rests at the end of its travel repeats as well, so one of
-    two more must hold. The simulation lies beyond the limit on those samples, by more than its
-    error elsewhere explains (a t-test), and moves there. Or the channel runs into the limit and out
-    of it at half its usual speed or more, where a motion that comes to rest slows down.
+    Ties at the end are compared with those of the values next to it: a coarse converter repeats
+    all of them, and some more than others (negative binomial). What rests at the end of its travel
+    repeats as well, so one of two more must hold. The simulation lies beyond the limit on those
+    samples, by more than its error elsewhere explains (a t-test), and moves there. Or the channel
+    runs into the limit and out of it at half its usual speed or more, where a motion that comes to
+    rest slows down.
 
     Parameters
     ----------
@@ -69,17 +72,9 @@ def find_plateaus(
         beyond = np.concatenate([side * y[m] - level for y, m in zip(simulated, at, strict=True)])
         if p >= alpha or not np.all(np.isfinite(beyond)):
             continue
-        elsewhere = np.concatenate(
-            [(y - s)[u & ~m] for y, s, u, m in zip(measured, simulated, used, at, strict=True)]
-        )
-        size = float(1.4826 * np.median(np.abs(elsewhere - np.median(elsewhere))))
-        mean, spread = float(beyond.mean()), float(beyond.std(ddof=1))
-        error = np.hypot(spread, size) / np.sqrt(len(beyond))
-        is_beyond = float(student.sf(mean / max(error, TINY), len(beyond) - 1)) < alpha
-        is_beyond = (
-            is_beyond and mean >= CLIPPING.beyond * size and spread >= CLIPPING.motion * mean
-        )
-        if not (is_beyond or _runs_in(measured, at)):
+        elsewhere = [u & ~m for u, m in zip(used, at, strict=True)]
+        errors = [y - s for y, s in zip(measured, simulated, strict=True)]
+        if not (_lies_beyond(beyond, errors, elsewhere, at, alpha) or _runs_in(measured, at)):
             continue
         ends[side] = side * level
         smallest = min(smallest, p)
@@ -97,6 +92,57 @@ def find_plateaus(
         energy=energy,
         p_value=smallest,
     )
+
+
+def _lies_beyond(
+    beyond: Array,
+    errors: Sequence[Array],
+    elsewhere: Sequence[Array],
+    at: Sequence[Array],
+    alpha: float,
+) -> bool:
+    """True if the simulation goes beyond the limit by more than its error elsewhere explains.
+
+    Parameters
+    ----------
+    beyond : (n,) by how much it does, at the samples at the limit.
+    errors : (N,) a record, measured less simulated.
+    elsewhere, at : (N,) bool, samples beside the limit and at it.
+    """
+    other = np.concatenate([r[m] for r, m in zip(errors, elsewhere, strict=True)])
+    size = float(1.4826 * np.median(np.abs(other - np.median(other))))
+    mean, spread = float(beyond.mean()), float(beyond.std(ddof=1))
+    if mean < CLIPPING.beyond * size or spread < CLIPPING.motion * mean:
+        return False
+    count = _independent(errors, elsewhere, at)
+    error = np.hypot(spread, size) / np.sqrt(count)
+    return float(student.sf(mean / max(error, TINY), max(count - 1.0, 1.0))) < alpha
+
+
+def _independent(errors: Sequence[Array], elsewhere: Sequence[Array], at: Sequence[Array]) -> float:
+    """How many independent errors of the simulation the samples at the limit stand for.
+
+    The error of a model is slow: over one standstill it is one error, however many samples that
+    has. The variance of the mean of n samples is that of one times (1 + 2 sum_k c_k rho_k / n) / n,
+    with the autocorrelation rho_k of the error elsewhere, as far as it is positive (Geyer,
+    Statistical Science 7 (1992) 473-483), and c_k pairs at lag k among them.
+    """
+    lags = max(len(r) for r in errors)
+    products, pairs, among = np.zeros(lags), np.zeros(lags), np.zeros(lags)
+    for r, there, limit in zip(errors, elsewhere, at, strict=True):
+        for total, x in (
+            (products, np.where(there, r, 0.0)),
+            (pairs, there.astype(float)),
+            (among, limit.astype(float)),
+        ):
+            total[: len(r)] += correlate(x, x, method="fft")[len(r) - 1 :]
+    covariance = products / np.maximum(pairs, 1.0)
+    is_known = (covariance > 0.0) & (pairs > 0.5)
+    if not is_known[0]:
+        return float(among[0])
+    first = lags if is_known.all() else int(np.argmin(is_known))
+    rho = np.minimum(covariance[1:first] / covariance[0], 1.0)
+    return float(among[0] / (1.0 + 2.0 * np.sum(among[1:first] * rho) / among[0]))
 
 
 def _stands_apart(measured: Sequence[Array], used: Sequence[Array], at: Sequence[Array]) -> bool:
@@ -135,9 +181,17 @@ def _runs_in(measured: Sequence[Array], at: Sequence[Array]) -> bool:
 
 
 def _ties(values: Array) -> float:
-    """How likely chance repeats the largest value as often, from the values next to it."""
+    """How likely chance repeats the largest value as often, from the values next to it.
+
+    Repetitions are Poisson distributed where all values are as likely. A counted or rounded channel
+    repeats the levels near which it stays and passes the others: then their mean varies, and they
+    are negative binomial, with mean and variance as next to the end.
+    """
     distinct, counts = np.unique(values, return_counts=True)
     if counts[-1] < CLIPPING.fewest or len(distinct) < CLIPPING.beside // 2:
         return 1.0
-    usual = float(np.mean(counts[-CLIPPING.beside - 1 : -1] - 1)) + CLIPPING.repeats
-    return float(poisson.sf(counts[-1] - 2, usual))
+    repeats = counts[-CLIPPING.beside - 1 : -1] - 1
+    usual, variance = float(np.mean(repeats)) + CLIPPING.repeats, float(np.var(repeats, ddof=1))
+    if variance <= usual:
+        return float(poisson.sf(counts[-1] - 2, usual))
+    return float(nbinom.sf(counts[-1] - 2, usual**2 / (variance - usual), usual / variance))

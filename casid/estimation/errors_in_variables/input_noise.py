@@ -81,11 +81,16 @@ class InputNoise:
 
     @property
     def _largest(self) -> dict[str, float]:
-        """Input -> standard deviation beyond which the residual shows more than its noise."""
+        """Input -> standard deviation beyond which the residual shows more than its noise.
+
+        The channel's own spectrum bounds its noise, up to the error of that bound. What a residual
+        shows in few lines, as behind an integrator, has an error in proportion to its size: of a
+        misfit it is so large that it would allow any noise, so it counts up to that of the bound.
+        """
         out = {}
         for name, floor in self.floors.items():
             own, shown = self.errors[name], self.noise.variance_error(name)
-            above = REMOVAL.above * np.hypot(own, shown if own > 0 else 0.0)
+            above = REMOVAL.above * np.hypot(own, min(shown, own))
             out[name] = float(np.sqrt(floor + above))
         return out
 

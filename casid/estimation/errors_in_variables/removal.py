@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.estimation.covariance import sandwich
 from casid.estimation.errors_in_variables.equations import Equations, columns_of, equations, step
 from casid.estimation.errors_in_variables.input_noise import (
@@ -133,8 +133,9 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
         if added_variance(fit, found.noise.quiet(found.most), free) < REMOVAL.adds:
             return at
     root = _Root(fit, known, free, found, seed)
-    if root.why_not:
-        return replace(at, why_not=root.why_not)
+    why_not = root.why_not or _worse(fit, root)
+    if why_not:
+        return replace(at, why_not=why_not)
     solution = replace(
         solution,
         x=root.x,
@@ -166,6 +167,64 @@ def _misfit(criterion: SimulationError, found: InputNoise) -> str:
     )
 
 
+def _worse(fit: Fit, root: _Root) -> str:
+    """What says that a root simulates worse than its noise allows; empty where it does not.
+
+    The root of a drifting system may well simulate worse than least squares, whose initial states
+    take most of the drift that noise on an input gives. By how much is known: noise of the sizes
+    found at the root leaves to least squares what is orthogonal to its sensitivities. Where least
+    squares leaves far less, that noise is not there, and where it leaves far more, misfit is.
+    """
+    criterion = fit.criterion
+    least, now = (max(_squares(criterion, x), TINY) for x in (fit.x, root.x))
+    if now <= REMOVAL.absorbs_misfit**2 * least:
+        return ""
+    left = np.log(_left_by_noise(root))
+    ratio = np.log(least) - left.mean()
+    if abs(ratio) <= REMOVAL.left_spreads * left.std(ddof=1):
+        return ""
+    means = (
+        "the model is incomplete, or there are disturbances (casid diagnose)"
+        if ratio > 0
+        else "the inputs have less noise than that"
+    )
+    return (
+        f"that raises the error {np.sqrt(now / least):.2g}-fold, and least squares leaves "
+        f"{np.exp(ratio / 2):.2g} times what the noise would leave: {means}"
+    )
+
+
+def _squares(criterion: SimulationError, x: Array) -> float:
+    """Weighted sum of squared residuals at `x` (n,), of all records."""
+    total = 0.0
+    for e, d in enumerate(criterion.data):
+        residual = criterion.simulated(x, e).residual * criterion.weights
+        total += float(np.sum(np.where(d.used, residual, 0.0) ** 2))
+    return total
+
+
+def _left_by_noise(root: _Root) -> Array:
+    """(m,) weighted sums of squares that least squares leaves of so many records of noise."""
+    criterion, found = root.criterion, root.found
+    used = np.concatenate([d.used.ravel() for d in criterion.data])
+    out = []
+    for seed in range(REMOVAL.left_records):
+        rng = np.random.default_rng((root.seed, seed))
+        columns = columns_of(criterion, root.x, found.sd, seed)
+        noise = [
+            sum((source.moved for source in part.noise), np.zeros(part.residual.shape))
+            + found.noise.output_sd * criterion.weights * rng.standard_normal(part.residual.shape)
+            for part in columns
+        ]
+        r = np.concatenate([part.ravel() for part in noise])[used]
+        tangents = [part.tangent.reshape(-1, len(root.x)) for part in columns]
+        t = np.concatenate(tangents)[used][:, root.free]
+        t = t / np.maximum(np.linalg.norm(t, axis=0), TINY)
+        left = r - t @ np.linalg.lstsq(t, r, rcond=None)[0]
+        out.append(max(float(left @ left), TINY))
+    return np.array(out)
+
+
 class _Root:
     """The root of the equations, sought from a fit, with the noise found anew at every step."""
 
@@ -186,7 +245,11 @@ class _Root:
     def _sought(self) -> str:
         """Go to the root; a reason where there is none."""
         share, at_fit = 0.0, self.found
-        for _ in range(REMOVAL.steps):
+        for k in range(REMOVAL.steps):
+            if k > 0:
+                # Least squares leaves other parts of the noise than weighted steps do, and at its
+                # own point the noise was found from what it leaves.
+                self.found = input_noise(self.criterion, self.x, self.known, self.found.noise)
             self._evaluate()
             parts = (self.at.matrix, self.at.noise, self.at.score)
             if not all(np.all(np.isfinite(part)) for part in parts):
@@ -200,7 +263,7 @@ class _Root:
             self.free &= new == self.x + move
             self.x = new
         else:
-            return _NO_ROOT
+            return _misfit(self.criterion, at_fit) or _NO_ROOT
         if share < REMOVAL.least_information:
             return "it is most of what the inputs say of a combination of the unknowns"
         if _misfit(self.criterion, self.found):
@@ -208,7 +271,6 @@ class _Root:
         return ""
 
     def _evaluate(self) -> None:
-        self.found = input_noise(self.criterion, self.x, self.known, self.found.noise)
         sd = self.found.sd
         self.columns = columns_of(self.criterion, self.x, sd, self.seed)
         self.at = equations(self.columns, self.found.noise, sd)

@@ -44,6 +44,13 @@ class Removal:
     absorbs_spreads: float = _is(
         2.0, "standard deviations of that ratio squared by chance, beyond which the same", _TEST
     )
+    left_spreads: float = _is(
+        4.0,
+        "standard deviations of the logarithm of what noise leaves to least squares, by which it "
+        "may leave more or less: a root that simulates worse needs noise that is there",
+        _TEST,
+    )
+    left_records: int = _is(20, "records of noise for their mean", _TEST)
     fillings: int = _is(
         8, "draws of missing samples, after each of which the noise is found anew", _TEST
     )

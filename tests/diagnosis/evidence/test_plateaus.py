@@ -193,3 +193,81 @@ def test_a_motion_that_jumps_to_its_limit_for_some_samples_is_cut_off():
     found = find(cut, y)
     assert found is not None
     assert found.upper == pytest.approx(1.2)
+
+
+def counted_speed(seed: int, N: int = 400) -> tuple[Array, Array]:
+    """Counts a sample of a motor that runs up, by a disc with uneven slots: true, and counted.
+
+    Steady speed gives two counts again and again, of one half of the disc and of the other.
+    """
+    k, rng = np.arange(N), np.random.default_rng(seed)
+    speed = (75.0 + rng.uniform()) * (1.0 - np.exp(-k / 12.0))
+    angle = np.cumsum(speed + np.where(k % 2 == 0, 2.1, -2.1)) + 0.1 * rng.standard_normal(N)
+    return speed, np.diff(np.floor(angle), prepend=0.0)
+
+
+def test_levels_of_a_counted_channel_that_repeat_unevenly_are_no_limit():
+    """The levels next to its top repeat as much, or not at all: they are no Poisson numbers.
+
+    The top is run into and out of at full speed, by the other half of the disc: ties alone decide.
+    """
+    often = 0
+    for seed in range(20):
+        speed, counts = counted_speed(seed)
+        often += np.sum(counts == counts.max()) > 2 * CLIPPING.fewest
+        assert find(counts, speed) is None
+    assert often > 10
+
+
+def test_a_counted_channel_is_clipped_where_its_top_repeats_far_more_than_any_level_below():
+    """Counts of a motion over many levels, of a counter that goes no further."""
+    y = motion()
+    counts = np.round(60 * noisy(0, y))
+    found = find(np.minimum(counts, 70.0), 60 * y)
+    assert found is not None
+    assert found.upper == 70.0
+    assert np.array_equal(found.masks[0], counts >= 70.0)
+
+
+def standstill(dead: float, noise_seed: int) -> tuple[Array, Array]:
+    """Counts of a motor's position that stands, is driven from 0.4 s on, and answers late.
+
+    Beside it least squares of the model without a dead time, q = q_0 + a e(t) + K f(t), with both
+    initial states free: its error is one slow wave all over the record.
+    """
+    t, tau = 0.005 * np.arange(320), 0.13
+
+    def driven(after: float) -> Array:
+        s = np.maximum(t - after, 0.0)
+        return s - tau * (1.0 - np.exp(-s / tau))
+
+    rng = np.random.default_rng(noise_seed)
+    q = np.round(2000.0 * driven(0.4 + dead) + 0.1 * rng.standard_normal(len(t)) * (t > 0.4 + dead))
+    columns = np.column_stack([np.ones_like(t), tau * (1.0 - np.exp(-t / tau)), driven(0.4)])
+    return q, columns @ np.linalg.lstsq(columns, q, rcond=None)[0]
+
+
+@pytest.mark.parametrize("dead", [0.02, 0.03, 0.04])
+def test_a_standstill_before_a_step_is_no_limit_where_the_model_errs_as_much_elsewhere(dead):
+    """The slow error of a model is one error in the whole standstill, not one a sample."""
+    for seed in range(3):
+        q, simulated = standstill(dead, seed)
+        rest = q == q.min()
+        assert rest.sum() > 80
+        beyond = (q.min() - simulated)[rest]  # of the lower end
+        error = np.std(beyond) / np.sqrt(rest.sum())
+        assert abs(beyond.mean()) > 4 * error  # it would be, of independent errors
+        assert find(q, simulated) is None
+        assert find(-q, -simulated) is None
+
+
+def test_a_smooth_motion_that_creeps_beyond_its_limit_is_clipped_by_what_the_model_says():
+    """No speed at the limit, a model with a slow error: the motion beyond is far more than that."""
+    t = 0.01 * np.arange(4000)
+    y = np.sin(0.9 * t) + 0.02 * np.sin(0.07 * t)
+    slow = 0.01 * np.sin(2.3 * t + 1.0)
+    limit = 0.93
+    found = find(np.minimum(y, limit), y + slow)
+    assert found is not None
+    assert found.upper == limit
+    assert np.array_equal(found.masks[0], y >= limit)
