@@ -225,7 +225,7 @@ class Prewhitening:
         0.1,
         "of the record, beyond which no delay is sought in any case: of one step, recorded until "
         "it has settled, a sensor may be late by a twentieth",
-        f"{TESTS}/search/test_dead_times.py",
+        f"{TESTS}/evidence/test_signal_sizes.py",
     )
     trial: float = _is(
         0.01,
@@ -603,10 +603,10 @@ _PRESELECTION = f"{TESTS}/search/test_preselection.py"
 
 
 @dataclass(frozen=True, slots=True)
-class Rounds:
-    """How much is searched, and what is adopted."""
+class Shortlist:
+    """Which effects are refitted, of all that were tested."""
 
-    shortlist: int = _is(6, "kinds refitted, by robust p and by plain score each", POWER_STUDY)
+    kinds: int = _is(6, "kinds refitted, by robust p and by plain score each", POWER_STUDY)
     unnamed: int = _is(4, "neighbours without a name beside them, of each order", POWER_STUDY)
     timed: int = _is(
         4,
@@ -614,10 +614,22 @@ class Rounds:
         "of any other",
         f"{TESTS}/search/test_shortlist.py",
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Rounds:
+    """How much is searched, and what is adopted."""
+
     rivals: int = _is(4, "rivals of one cause that are refitted in the end", POWER_STUDY)
     pairs: int = _is(
         2,
         "candidates beside which a second is sought where none alone lowers the held-out error",
+        f"{TESTS}/search/test_refinement.py",
+    )
+    lean: float = _is(
+        0.1,
+        "of what all causes explain, at most, that a model without the superfluous ones may lose: "
+        "where it loses more, its fit went astray",
         f"{TESTS}/search/test_refinement.py",
     )
     frictions: int = _is(
@@ -626,9 +638,9 @@ class Rounds:
         f"{TESTS}/search/test_imitations.py",
     )
     stop: float = _is(
-        1.0,
-        "of the stiffness beside it, at least, that a stop has: a softer one is a spring that "
-        "hardens, as the righting arm of a ship does",
+        0.1,
+        "of the stiffness beside it, at least, that a stop has: one of a thirtieth is a spring "
+        "that hardens, as the righting arm of a ship does",
         f"{TESTS}/search/test_imitations.py",
     )
     backward_wald: float = _is(
@@ -796,12 +808,6 @@ class Judging:
         "share of the excess misfit left, above which the one cause named is not the cause",
         f"{TESTS}/verdict/test_open_set.py",
     )
-    lean: float = _is(
-        0.1,
-        "of what all causes explain, at most, that a model without the superfluous ones may lose: "
-        "where it loses more, its fit went astray",
-        f"{TESTS}/search/test_refinement.py",
-    )
     practical: float = _is(
         0.02,
         "share of the excess misfit below which a significant effect is a small remainder, no "
@@ -960,6 +966,7 @@ COMPARISON = Comparison()
 REFITS = Refits()
 JUMPS = Jumps()
 FRICTION = Friction()
+SHORTLIST = Shortlist()
 ROUNDS = Rounds()
 TERMS = Terms()
 DESCRIPTION = Description()
@@ -988,6 +995,7 @@ GROUPS = (
     REFITS,
     JUMPS,
     FRICTION,
+    SHORTLIST,
     ROUNDS,
     TERMS,
     DESCRIPTION,

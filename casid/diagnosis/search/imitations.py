@@ -70,7 +70,7 @@ def drives_one_way(effect: Effect, at: Weighted) -> bool:
 
 
 def is_soft_stop(at: Weighted, found: Candidate) -> bool:
-    """True of a stop that is softer than the spring beside it: a spring that hardens somewhere.
+    """True of a stop that is far softer than the spring beside it: that one hardens somewhere.
 
     Both in the unit of the place over its position's; at the parameters found.
     """
@@ -83,7 +83,7 @@ def is_soft_stop(at: Weighted, found: Candidate) -> bool:
     symbols = ca.symvar(spring)
     values = [found.fit.values.get(s.name(), 0.0) for s in symbols]
     own = float(ca.substitute(spring, ca.vertcat(ca.SX(0, 1), *symbols), ca.DM(values)))
-    return found.fit.values[found.names[0]] < ROUNDS.stop * abs(own)
+    return found.fit.values[found.names[0]] < ROUNDS.stop * own
 
 
 def is_at_resonance(at: Weighted, frequency: float) -> bool:

@@ -293,7 +293,7 @@ class Refinement:
         """True of a fit without some effects that loses what they cannot have explained."""
         assert whole is not None
         old, new = (simulation_errors(f, self.split, self.units).square for f in (whole, lean))
-        return not new - old <= JUDGING.lean * (self.before.square - old)
+        return not new - old <= ROUNDS.lean * (self.before.square - old)
 
     def _refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
         assert fit is not None

@@ -40,7 +40,7 @@ from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.settings import Progress
-from casid.diagnosis.thresholds import COMPARISON, REFITS, ROUNDS
+from casid.diagnosis.thresholds import COMPARISON, REFITS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
@@ -214,7 +214,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     noise its scores tell little, and twice as many are refitted.
     """
     is_far = error_over_noise(at.fit, at.noise) > REFITS.far
-    most = ROUNDS.shortlist * (2 if is_far else 1)
+    most = SHORTLIST.kinds * (2 if is_far else 1)
     visible = [s for s in table.tested if s.unrobust > 0.0]
     if not at.noise_absorbs_misfit:
         # Under the right noise the score predicts what a refit of a small effect gains. A line is
@@ -234,7 +234,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         timed = [key for key in keys if strongest[key].effect.is_on_the_clock]
         unnamed = [key for key in keys if key[0] == "unknown"]
         lasting = [key for key in keys if key not in timed and key not in unnamed]
-        for key in (*lasting[:most], *timed[: ROUNDS.timed], *unnamed[: ROUNDS.unnamed]):
+        for key in (*lasting[:most], *timed[: SHORTLIST.timed], *unnamed[: SHORTLIST.unnamed]):
             chosen.setdefault(key, strongest[key])
     return [*chosen.values(), *_other_falls(visible, chosen)] if is_far else list(chosen.values())
 

@@ -9,7 +9,7 @@ import pytest
 import casid
 from casid.diagnosis.evidence.score_tests import Score
 from casid.diagnosis.search import rounds
-from casid.diagnosis.thresholds import REFITS, ROUNDS
+from casid.diagnosis.thresholds import REFITS, SHORTLIST
 from casid.model.effects.channel_effects import sensor_lag
 from casid.model.effects.effect import Motion
 from casid.model.effects.parameter_effects import parameter_jump, state_scheduled_parameter
@@ -49,5 +49,5 @@ def test_jumps_of_many_parameters_crowd_out_no_lasting_effect(monkeypatch: pytes
     monkeypatch.setattr(rounds, "error_over_noise", lambda *_: 0.5 * REFITS.far)
     at = SimpleNamespace(fit=None, noise=None, noise_absorbs_misfit=True)
     found = rounds.shortlist(at, SimpleNamespace(tested=scores))  # type: ignore[arg-type]
-    assert sum(s.effect.is_on_the_clock for s in found) == ROUNDS.timed
+    assert sum(s.effect.is_on_the_clock for s in found) == SHORTLIST.timed
     assert lag in [s.effect for s in found]
