@@ -225,6 +225,9 @@ def _left_by_noise(root: _Root) -> Array:
     return np.array(out)
 
 
+_OVERFLOWS = "the simulation overflows beside the fit"
+
+
 class _Root:
     """The root of the equations, sought from a fit, with the noise found anew at every step."""
 
@@ -246,6 +249,8 @@ class _Root:
         """Go to the root; a reason where there is none."""
         share, at_fit = 0.0, self.found
         for k in range(REMOVAL.steps):
+            if k > 0 and not self._is_finite():
+                return _OVERFLOWS
             if k > 0:
                 # Least squares leaves other parts of the noise than weighted steps do, and at its
                 # own point the noise was found from what it leaves.
@@ -253,7 +258,7 @@ class _Root:
             self._evaluate()
             parts = (self.at.matrix, self.at.noise, self.at.score)
             if not all(np.all(np.isfinite(part)) for part in parts):
-                return "the simulation overflows beside the fit"
+                return _OVERFLOWS
             move, length, share = step(self.at, self.free, REMOVAL.least_information)
             if length < REMOVAL.converged:
                 break
@@ -269,6 +274,11 @@ class _Root:
         if _misfit(self.criterion, self.found):
             return _misfit(self.criterion, at_fit) or _NO_ROOT
         return ""
+
+    def _is_finite(self) -> bool:
+        """Whether the model simulates every record here, with its sensitivities."""
+        runs = [self.criterion.simulated(self.x, e) for e in range(len(self.criterion.data))]
+        return all(bool(np.all(np.isfinite(run.jacobian))) for run in runs)
 
     def _evaluate(self) -> None:
         sd = self.found.sd

@@ -13,6 +13,7 @@ import pytest
 
 import casid
 from analysis.coverage.systems import rig_model, rig_motion
+from casid.estimation.errors_in_variables import removal
 from casid.estimation.errors_in_variables.equations import columns_of, equations, flat_noise
 from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
@@ -45,11 +46,12 @@ def response(u: np.ndarray, a: float = A, b: float = B) -> np.ndarray:
     return v
 
 
-def model(known: bool = False) -> casid.Model:
+def model(known: bool = False, stable: bool = True) -> casid.Model:
     m = casid.Model("first order")
     v = m.state("v", "m/s")
     u = m.input("u", "m/s^2", known=known)
-    a, b = m.parameter("a", "1/s", start=1.5, lower=0.0), m.parameter("b", "", start=2.5)
+    a = m.parameter("a", "1/s", start=1.5, lower=0.0 if stable else -np.inf)
+    b = m.parameter("b", "", start=2.5)
     m.derivative(v, -a * v + b * u)
     m.output("v", v, "m/s")
     return m
@@ -79,7 +81,8 @@ def test_simulated_noise_has_the_same_power_at_every_frequency() -> None:
 
 def test_the_equations_are_the_slope_of_the_likelihood_of_errors_in_variables() -> None:
     """The slope of -1/2 sum |r|^2 / S(theta), S with the theta of the simulation, linear model."""
-    fit = fitted(3)
+    data = [casid.Experiment(record(3), {}, "r")]
+    fit = fit_model(model(stable=False), data, ONE_START)
     c, x = fit.criterion, fit.x + np.array([0.05, -0.05, 0.0])
     noise = estimate_noise(c, x)
     sd = {"u": noise.source_sd["u"]}
@@ -426,3 +429,19 @@ def test_a_root_that_simulates_worse_is_not_taken_where_least_squares_leaves_les
     found = without_input_noise(fit, {"u": 5e-3})
     assert found.fit is fit
     assert found.text.endswith("the inputs have less noise than that")
+
+
+def test_a_step_to_where_the_simulation_overflows_ends_the_search(monkeypatch) -> None:
+    """A pole of 1000 per second is e^1000 after one: least squares is kept, and it is said."""
+    data = [casid.Experiment(record(3), {}, "r")]
+    fit = fit_model(model(stable=False), data, ONE_START)
+    least_squares = dict(fit.values)
+
+    def away(at, free, least):
+        return np.where(np.array(fit.criterion.names) == "a", -1e3, 0.0), 1.0, 1.0
+
+    monkeypatch.setattr(removal, "step", away)
+    monkeypatch.setattr(removal, "REMOVAL", replace(removal.REMOVAL, longest_step=1.0))
+    found = without_input_noise(fit, {})
+    assert "overflows" in found.why_not
+    assert found.fit.values == least_squares
