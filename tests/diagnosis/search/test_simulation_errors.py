@@ -13,6 +13,7 @@ from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     Soundness,
     is_predicted,
+    simulation_errors,
     why_much_worse,
     why_not_adopted,
 )
@@ -20,6 +21,7 @@ from casid.diagnosis.thresholds import FORESIGHT, ROUNDS
 from casid.estimation.holdout import Split, degrees_of_freedom, split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.channel_effects import time_delay
 from problems import roll_decay
 
 N = 400
@@ -149,3 +151,23 @@ def test_under_a_disturbance_neither_part_may_be_simulated_much_worse():
     fit, split = decay()
     assert why_much_worse(fit, moved(C_1=1 + 1e-6), split) == ""
     assert why_much_worse(fit, moved(C_1=1.02), split) == "it makes the fitted error much worse"
+
+
+def test_samples_that_a_late_sensor_leaves_out_of_the_fit_count_in_no_error():
+    """Before a delay has passed, the sensor shows what was before the record: nobody knows that.
+
+    Counted, they refused a delay whose own initial state, free for them, contradicts them.
+    """
+    fit, split = decay()
+    Ts = fit.criterion.data[0].Ts
+    late, _ = time_delay(roll_decay.decay_model(), "phi", 1.0).extended(
+        roll_decay.decay_model(), starts={"delay_phi": 2.5 * Ts}
+    )
+    # In a free decay a delay is another initial state: no matter here.
+    once = casid.FitSettings(starts=1)
+    delayed = fit_model(late, split.fitted, once, start=fit.values, check_rank=False, throw=False)
+    left_out = int(np.sum(~delayed.criterion.data[0].used))
+    assert left_out >= 3
+    errors = simulation_errors(delayed, split, fit.criterion.weights)
+    assert int(np.sum(np.isnan(errors.fitted))) == left_out
+    assert not np.isnan(simulation_errors(fit, split, fit.criterion.weights).fitted).any()
