@@ -126,9 +126,7 @@ def minimize_simulation_error(
             if not solution.is_converged and other is not None and seconds_left() > 0.0:
                 with suppress(SolveError):
                     by_gradients = _solved(nlp, criterion, other, solution.x)
-                    solution = min(
-                        solution, by_gradients, key=lambda s: (not s.is_converged, s.value)
-                    )
+                    solution = by_gradients if by_gradients.is_converged else solution
         solutions.append(solution)
     if not solutions:
         require_time(f"the fit of {criterion.model.name}")
