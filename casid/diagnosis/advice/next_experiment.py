@@ -180,7 +180,8 @@ def next_experiment(
             p.energy_needed,
         )
     )
-    return Advice(keys, now, tuple(proposals), _sentence(keys, now, proposals))
+    words = [effect_words(*s.effect.key, description=s.effect.description) for s in suspects]
+    return Advice(keys, now, tuple(proposals), _sentence(words, now, proposals))
 
 
 def predicted_table(planned: Planned, at: Weighted, effects: Sequence[Effect]) -> ScoreTable:
@@ -273,8 +274,8 @@ class _Rule:
         return score.energy * (1.0 if s.effect.test == "clip" else s.size**2)
 
 
-def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal]) -> str:
-    who = f"{effect_words(*tied[0])} from {either_words(effect_words(*k) for k in tied[1:])}"
+def _sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Proposal]) -> str:
+    who = f"{tied[0]} from {either_words(tied[1:])}"
     able = [p for p in proposals if isfinite(p.record_length)]
     if not able:
         return (

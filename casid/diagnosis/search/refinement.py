@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted
@@ -108,14 +109,19 @@ class Refinement:
             rivals = list(self._rivals(adopted, i))
             bare = self._errors_without(adopted, i, fit) if rivals else self.before
             for rival in rivals:
-                self.search.progress(
-                    f"compare {name_of(adopted[i].candidate.effect)} with {name_of(rival.effect)} "
-                    "by the held-out error"
+                pair = (
+                    f"{name_of(adopted[i].candidate.effect)} with {name_of(rival.effect)} by the "
+                    "held-out error"
                 )
+                self.search.progress(f"compare {pair}")
                 others = [a.candidate for a in adopted]
                 others[i] = rival
-                placed, other = self._with(others, fit)
-                after = simulation_errors(other, self.split, self.units)
+                tried = self.search.attempts.attempt(
+                    f"the comparison of {pair}", partial(self._tried, others, fit)
+                )
+                if tried is None:
+                    continue
+                placed, other, after = tried
                 if self._is_preferred(adopted[i].candidate, bare, errors, after):
                     adopted = [
                         replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)
@@ -123,6 +129,13 @@ class Refinement:
                     adopted[i] = exchanged(found.adopted[i], placed[i])
                     fit, errors, is_new = other, after, True
         return self._refined(found, adopted, fit) if is_new else found
+
+    def _tried(
+        self, causes: Sequence[Candidate], near: Fit
+    ) -> tuple[list[Candidate], Fit, SimulationErrors]:
+        """Other causes in the model, their fit and its errors."""
+        placed, fit = self._with(causes, near)
+        return placed, fit, simulation_errors(fit, self.split, self.units)
 
     def sharp(self, found: Adoption, most: int = FRICTION.in_the_end) -> Adoption:
         """With dry friction that reverses as sharply as the whole records show.
