@@ -37,6 +37,7 @@ from casid.diagnosis.search.friction_speeds import likeliest_speed, steps_needed
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
+    on_common_samples,
     simulation_errors,
     why_held_out,
 )
@@ -243,8 +244,12 @@ class Refinement:
 
     def _is_missed(self, fit: Fit, without: Fit) -> bool:
         """True if the fitted part has a practically larger error without an effect."""
-        now, then = (simulation_errors(f, self.split, self.units).square for f in (fit, without))
-        return then > (1 + JUDGING.practical) * now
+        now, then = self._compared(fit, without)
+        return then.square > (1 + JUDGING.practical) * now.square
+
+    def _compared(self, *fits: Fit) -> list[SimulationErrors]:
+        """Errors of fits, on the samples that all of them count."""
+        return on_common_samples(*(simulation_errors(f, self.split, self.units) for f in fits))
 
     def _errors_without(self, adopted: Sequence[Adopted], i: int, fit: Fit) -> SimulationErrors:
         """The errors with all causes but one: a rival has to explain what that one does."""
@@ -261,6 +266,7 @@ class Refinement:
         In practice: it leaves less than `JUDGING.practical` more of what there is without the cause
         (`bare`), and takes more than that of the held-out error away.
         """
+        bare, old, new = on_common_samples(bare, old, new)
         fits = new.square - old.square < JUDGING.practical * (bare.square - old.square)
         gained = bare.held_out_square - old.held_out_square
         lost = new.held_out_square - old.held_out_square
@@ -305,8 +311,9 @@ class Refinement:
     def _is_astray(self, whole: Fit | None, lean: Fit) -> bool:
         """True of a fit without some effects that loses what they cannot have explained."""
         assert whole is not None
-        old, new = (simulation_errors(f, self.split, self.units).square for f in (whole, lean))
-        return not new - old <= ROUNDS.lean * (self.before.square - old)
+        old, new = self._compared(whole, lean)
+        bare, *_ = on_common_samples(self.before, old)
+        return not new.square - old.square <= ROUNDS.lean * (bare.square - old.square)
 
     def _refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
         assert fit is not None

@@ -57,6 +57,22 @@ class SimulationErrors:
         return float(np.nansum(self.continued**2) + np.nansum(self.restarted**2))
 
 
+def on_common_samples(*errors: SimulationErrors) -> list[SimulationErrors]:
+    """The same of several models, of those samples alone that all of them count.
+
+    A late channel counts fewer than another, which would flatter it.
+    """
+
+    def common(arrays: list[Array]) -> list[Array]:
+        counts = np.all([~np.isnan(a) for a in arrays], axis=0)
+        return [np.where(counts, a, np.nan) for a in arrays]
+
+    fitted, continued, restarted = (
+        common([getattr(e, part) for e in errors]) for part in ("fitted", "continued", "restarted")
+    )
+    return [SimulationErrors(*parts) for parts in zip(fitted, continued, restarted, strict=True)]
+
+
 def simulation_errors(
     fit: Fit, split: Split, units: Array, noise: NoiseModel | None = None
 ) -> SimulationErrors:
@@ -149,7 +165,7 @@ class Soundness:
 
     def __init__(self, base: Fit, split: Split) -> None:
         self._split, self._units = split, base.criterion.weights
-        self._most = (1 + JUDGING.by_disturbance) ** 2 * self._errors(base).square
+        self._base = self._errors(base)
 
     def _errors(self, fit: Fit) -> SimulationErrors:
         return simulation_errors(fit, self._split, self._units)
@@ -160,8 +176,9 @@ class Soundness:
             errors = self._errors(fit)
         except SolveError:
             return False
-        is_finite = np.isfinite(errors.held_out_square)
-        return bool(is_finite and errors.square <= self._most)
+        old, new = on_common_samples(self._base, errors)
+        most = (1 + JUDGING.by_disturbance) ** 2 * old.square
+        return bool(np.isfinite(new.held_out_square) and new.square <= most)
 
 
 def is_predicted(before: SimulationErrors, after: SimulationErrors) -> bool:
@@ -193,10 +210,13 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
     slower than the model counts for nothing, the simulation may leave what was measured.
     """
     units = before.criterion.weights
-    parts = [(_fitted_error(f, split, units), _held_out(f, split, units)) for f in (before, after)]
-    for old, new, part in zip(*parts, ("fitted", "held-out"), strict=True):
-        squares = [float(np.nansum(e**2)) for e in (old, new)]
-        if not squares[1] <= (1 + JUDGING.by_disturbance) ** 2 * squares[0]:
+    fitted = [_fitted_error(f, split, units) for f in (before, after)]
+    counts = ~np.isnan(fitted[0]) & ~np.isnan(fitted[1])
+    held_out = [_held_out(f, split, units) for f in (before, after)]
+    parts = {"fitted": [e[counts] for e in fitted], "held-out": held_out}
+    for part, errors in parts.items():
+        old, new = (float(np.nansum(e**2)) for e in errors)
+        if not new <= (1 + JUDGING.by_disturbance) ** 2 * old:
             return f"it makes the {part} error much worse"
     return ""
 

@@ -154,7 +154,8 @@ def says(effect: Effect, column: str = "") -> str:
         return effect.description
     if effect.kind != "unknown" and effect.description.startswith((FLOW, OVERFLOW)):
         there = f"the {effect.where} balance" if effect.where.isidentifier() else effect.where
-        return f"{effect.description}, is missing in {there}"
+        comma = "," if "," in effect.description else ""
+        return f"{effect.description}{comma} is missing in {there}"
     if effect.kind == "time_delay" and effect.description:
         return f"the input {effect.where} {effect.description}"
     if effect.kind == "hold" and effect.description:

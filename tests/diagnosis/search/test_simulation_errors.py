@@ -13,6 +13,7 @@ from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     Soundness,
     is_predicted,
+    on_common_samples,
     simulation_errors,
     why_much_worse,
     why_not_adopted,
@@ -135,6 +136,18 @@ def moved(**shares: float) -> Fit:
     fit, _ = decay()
     factors = np.array([shares.get(name, 1.0) for name in fit.criterion.names])
     return replace(fit, solution=replace(fit.solution, x=fit.x * factors))
+
+
+def test_models_are_compared_on_the_samples_that_all_of_them_count():
+    """A lag leaves out what shows the time before the record; a delay leaves out less of it."""
+    delay, lag = errors(1.0, 1.0, 1.0), errors(1.0, 1.0, 1.0)
+    delay.fitted[:3], lag.fitted[:9], lag.restarted[:5] = np.nan, np.nan, np.nan
+    first, second = on_common_samples(delay, lag)
+    assert first.square == pytest.approx(second.square)
+    assert first.held_out_square == pytest.approx(second.held_out_square)
+    assert np.isnan(first.fitted).sum() == 9
+    assert np.isnan(first.restarted).sum() == 5
+    assert lag.square < delay.square  # as each counts
 
 
 def test_a_model_that_simulates_worse_than_the_one_it_extends_is_not_sound():
