@@ -122,6 +122,7 @@ def _errors(d: Signals, y: Array, units: Array, noise: NoiseModel | None, experi
     error = np.where(d.used, d.y - y, 0.0) * units
     if noise is not None:
         error = noise.whiten(error[:, :, None], experiment, d.used)[:, :, 0]
+    error = np.where(np.isfinite(error), error, np.inf)  # a simulation that breaks down errs
     return np.where(d.used, error, np.nan)
 
 

@@ -158,6 +158,7 @@ def test_a_model_that_simulates_worse_than_the_one_it_extends_is_not_sound():
     assert is_sound(moved(C_1=1 + 1e-6))
     assert not is_sound(moved(C_1=1.02))
     assert not is_sound(moved(B_1=-1e4))  # diverges
+    assert not is_sound(moved(B_1=-np.inf))  # breaks down: no number at all
 
 
 def test_under_a_disturbance_neither_part_may_be_simulated_much_worse():
