@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from casid.data.reading.header_units import looks_like_unit
@@ -222,21 +222,25 @@ def _separator(head: Sequence[str]) -> str:
 
 def names_above(above: Sequence[str], layout: Layout) -> list[str]:
     """Names in a line of comment that are more than the rows have values; none where no line is."""
-    for line in reversed(above):
-        if COMMENT.match(line):
-            names = cells_of(line.lstrip().lstrip("#%/").strip(), layout.separator)
-            if len(names) > layout.width > 1 and not any(map(is_value, names)):
-                return names
+    for bare in _comments(above):
+        names = cells_of(bare, layout.separator)
+        if len(names) > layout.width > 1 and not any(map(is_value, names)):
+            return names
     return []
 
 
 def _commented_names(above: Sequence[str], width: int, separator: str) -> list[str]:
     """Names in a line of comment, as `numpy.savetxt` writes them."""
+    for bare in _comments(above):
+        for cut in (separator, ",", "\t", " "):
+            names = cells_of(bare, cut) if bare else []
+            if len(names) == width and not any(map(is_value, names)):
+                return names
+    return []
+
+
+def _comments(above: Sequence[str]) -> Iterator[str]:
+    """Lines of comment without their marks, the last first."""
     for line in reversed(above):
         if COMMENT.match(line):
-            bare = line.lstrip().lstrip("#%/").strip()
-            for cut in (separator, ",", "\t", " "):
-                names = cells_of(bare, cut) if bare else []
-                if len(names) == width and not any(map(is_value, names)):
-                    return names
-    return []
+            yield line.lstrip().lstrip("#%/").strip()

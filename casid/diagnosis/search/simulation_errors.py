@@ -64,6 +64,7 @@ def on_common_samples(*errors: SimulationErrors) -> list[SimulationErrors]:
     """
 
     def common(arrays: list[Array]) -> list[Array]:
+        """NaN wherever one of them is."""
         counts = np.all([~np.isnan(a) for a in arrays], axis=0)
         return [np.where(counts, a, np.nan) for a in arrays]
 
@@ -89,13 +90,9 @@ def simulation_errors(
     SolveError
         If an initial state of what was held out cannot be fitted.
     """
-    inside: list[Array] = []
-    ends: list[Array] = []
-    for e, held in enumerate(split.held):
-        d, y = _simulated(fit, split, e)
-        error = _errors(d, y, units, noise, e)
-        inside.append(error[~held])
-        ends.append(error[held])
+    whole = _whole_errors(fit, split, units, noise)
+    inside = [error[~held] for error, held in zip(whole, split.held, strict=True)]
+    ends = [error[held] for error, held in zip(whole, split.held, strict=True)]
     for experiment in split.apart:
         d, y, _ = simulate_apart(fit, experiment)
         ends.append(_errors(d, y, units, noise, 0))
@@ -106,16 +103,21 @@ def simulation_errors(
     return SimulationErrors(np.concatenate(inside), np.concatenate(ends), restarted)
 
 
-def _simulated(fit: Fit, split: Split, e: int) -> tuple[Signals, Array]:
-    """A fitted record simulated to its end, without samples that the fit itself leaves out.
+def _whole_errors(
+    fit: Fit, split: Split, units: Array, noise: NoiseModel | None = None
+) -> list[Array]:
+    """(N, ny) of every fitted record to its end, but of samples that the fit itself leaves out.
 
     Of a late channel the first ones show what was before the record: an initial state that only
     they would contradict is free.
     """
-    d, y, _ = whole_simulation(fit, split, e)
-    used = d.used.copy()
-    used[~split.held[e]] &= fit.criterion.data[e].used
-    return replace(d, used=used), y
+    out = []
+    for e, held in enumerate(split.held):
+        d, y, _ = whole_simulation(fit, split, e)
+        used = d.used.copy()
+        used[~held] &= fit.criterion.data[e].used
+        out.append(_errors(replace(d, used=used), y, units, noise, e))
+    return out
 
 
 def _errors(d: Signals, y: Array, units: Array, noise: NoiseModel | None, experiment: int) -> Array:
@@ -224,13 +226,8 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
 
 def _fitted_error(fit: Fit, split: Split, units: Array) -> Array:
     """(M, ny) of the part that was fitted, in `units`."""
-    runs = [_simulated(fit, split, e) for e in range(len(split.held))]
-    return np.concatenate(
-        [
-            _errors(d, y, units, None, e)[~held]
-            for e, (held, (d, y)) in enumerate(zip(split.held, runs, strict=True))
-        ]
-    )
+    whole = _whole_errors(fit, split, units)
+    return np.concatenate([error[~held] for error, held in zip(whole, split.held, strict=True)])
 
 
 def _held_out(fit: Fit, split: Split, units: Array) -> Array:

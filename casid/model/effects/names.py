@@ -60,14 +60,11 @@ FLOW, OVERFLOW = "a flow that grows with", "an overflow"
 """How the descriptions begin of laws that stores have where bodies have damping and stops."""
 
 
-def effect_words(
-    kind: str, where: str, channels: frozenset[str] = frozenset(), *, description: str = ""
-) -> str:
+def effect_words(kind: str, where: str, *, description: str = "") -> str:
     """An effect and its place in words; a kind of the user's own keeps its name.
 
     Parameters
     ----------
-    channels : names that are channels; any other place of a force is a balance.
     description : of the effect, where it is known: it tells the two delays of an input apart, and
         the laws of a store from those of a body.
     """
@@ -77,8 +74,7 @@ def effect_words(
         at, _, shape = where.partition(": ")
         return f"unidentified term like {shape} in {at}" if shape else f"unidentified term in {at}"
     at, _, variant = where.partition(": ")
-    is_balance = at.isidentifier() and at not in channels
-    place = f"the {at} balance" if is_balance else at
+    place = f"the {at} balance" if at.isidentifier() else at
     own, _, source = at.partition("~")
     delay = _DELAYS.get(description) or _DELAYS.get(variant)
     if kind == "time_delay" and delay:
