@@ -9,8 +9,9 @@ away, in the fitted part of the record.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -167,7 +168,7 @@ def _record_of(
         if truth.effect.stage == "input":
             j = [i.name for i in system.inputs].index(truth.effect.channel)
             U[:, :, j] = truth.effect.law(acting[0].size, u[j])
-    feedback = Feedback(system.law, noise, u[0]) if system.law else None
+    feedback = Feedback(system.law, noise, u[0], _actuator(system, acting)) if system.law else None
     x0, p = full.columns([full.null()])
     staged_z = {c: staged(v, "foh", sub) for c, v in z.items()}
     clock = (-lead, system.N * system.Ts)
@@ -186,6 +187,14 @@ def _record_of(
     units = {c.name: c.unit for c in (*system.inputs, *system.beside)}
     units |= {o.name: o.unit for o in system.outputs}
     return _Made(bench, y[LEAD:], channels, units)
+
+
+def _actuator(system: System, acting: Sequence[Acting]) -> Callable[[Array], Array]:
+    """What acts of a command: the command, or what a hidden effect makes of it."""
+    for a in acting:
+        if a.effect.stage == "input" and a.effect.channel == system.inputs[0].name:
+            return partial(a.effect.law, a.size)
+    return lambda u: staged(u, system.inputs[0].hold, system.substeps)[:, :, None]
 
 
 # -- how large ------------------------------------------------------------------------------------

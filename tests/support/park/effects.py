@@ -208,6 +208,8 @@ def of_input(system: System, i: Input, s: Scales) -> Iterator[Effect]:
         R = s.rms[i.name]
         yield made("sensor_bias", lambda a, u: staged(u, i.hold, sub)[..., None] - R * a[0])
         yield made("sensor_scale", lambda a, u: staged(u, i.hold, sub)[..., None] / (1 + a[0]))
+    if system.law is not None and i is system.inputs[0]:
+        return  # what is commanded next is not known yet: a loop has no other hold
     one = staged
     yield made(
         "hold",

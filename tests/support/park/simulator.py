@@ -157,18 +157,23 @@ def staged(samples: Array, hold: Hold, substeps: int, delay: float = 0.0) -> Arr
 
 @dataclass(slots=True)
 class Feedback:
-    """A sampled control law around a single column, and what it commanded."""
+    """A sampled control law around a single column, and what it commanded.
+
+    `actuator` gives what acts of all that was commanded until now, (steps, 3, 1) at its stages.
+    """
 
     law: Callable[..., Any]
     noise: Array  # (N, ny) of the sensors
     reference: Array  # (N,)
+    actuator: Callable[[Array], Array]
     memory: dict[str, Any] = field(default_factory=dict)
     commanded: list[float] = field(default_factory=list)
 
-    def __call__(self, k: int, y: Array) -> Array:
+    def __call__(self, k: int, y: Array, steps: int) -> Array:
+        """What acts in the steps of sample k, (steps, 3, 1)."""
         u = np.asarray(self.law(k, y + self.noise[k][:, None], self.reference[k], self.memory))
         self.commanded.append(float(u.ravel()[0]))
-        return u
+        return self.actuator(np.array(self.commanded))[-steps:]
 
 
 def simulate(
@@ -251,7 +256,7 @@ def simulate(
             X[k] = x[:nx]
         if feedback is not None and not inside:
             seen = np.stack([np.broadcast_to(r, (K,)) for r in _seen(system, x, U[step, 0], p)])
-            U[step : step + system.substeps, :, 0] = feedback(k, seen)
+            U[step : step + system.substeps, :, 0] = feedback(k, seen, system.substeps)
         k1, now = derivative(step, 0, x, U[step, 0])
         for i, row in enumerate(system.sensors(x, k1, U[step, 0], now)):
             Y[2 * step, i] = row
