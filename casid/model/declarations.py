@@ -65,7 +65,10 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """A state: its initial value is estimated from `start`, unless it is known. SI units."""
+    """A state: its initial value is estimated from `start`, unless it is known. SI units.
+
+    `is_added` marks one that belongs to an effect: no place for further effects.
+    """
 
     name: str
     unit: str
@@ -73,6 +76,7 @@ class State:
     lower: float = -np.inf
     upper: float = np.inf
     initial: float | None = None
+    is_added: bool = False
 
     @property
     def nominal(self) -> float:

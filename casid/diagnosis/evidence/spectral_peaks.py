@@ -194,21 +194,27 @@ class PeriodicCandidate:
         return self.peak.p_value
 
 
+def peaks_of(fit: Fit, *, alpha: float = 0.05, most: int = PEAKS.most_forces) -> list[Peak]:
+    """The significant peaks of a whitened simulation error, as `find_peaks` has them."""
+    of = fit.criterion
+    residuals = [of.columns(fit.x, k)[0] for k in range(len(of.data))]
+    return find_peaks(residuals, [d.Ts for d in of.data], alpha=alpha, most=most)
+
+
 def periodic_candidates(
-    fit: Fit, window: tuple[float, float], *, alpha: float = 0.05, most: int = PEAKS.most_forces
+    fit: Fit, peaks: Sequence[Peak], window: tuple[float, float]
 ) -> list[PeriodicCandidate]:
-    """Each significant peak as a force in each place, the largest statistic first.
+    """Each peak as a force in each place, the largest statistic first.
 
     Parameters
     ----------
     fit : whitened simulation error of the model without the disturbance, near its minimum.
+    peaks : of that error.
     window : first and last instant fitted [s of the record's clock].
 
     The amplitudes are one Gauss-Newton step from zero, the baseline's own unknowns free to move.
     """
     base = fit.criterion
-    residuals = [base.columns(fit.x, k)[0] for k in range(len(base.data))]
-    peaks = find_peaks(residuals, [d.Ts for d in base.data], alpha=alpha, most=most)
     places = [p for p in places_of(base.model) if p.has_own_force] if peaks else []
     out = []
     for peak in peaks:

@@ -25,7 +25,7 @@ from casid.diagnosis.evidence.score_tests import (
     score_test,
 )
 from casid.diagnosis.evidence.signal_sizes import sizes_of
-from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
+from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, peaks_of, periodic_candidates
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.alternatives import on_common_samples, ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate, name_of
@@ -45,6 +45,7 @@ from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Effect, extend_all
+from casid.model.effects.structure_effects import modes_at
 from casid.model.effects.user_effects import UserEffect, user_effects
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
@@ -104,10 +105,15 @@ class Search:
         # A slope of a cause's own size would be a second effect in the place of a first one.
         effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]
         judged = at.unbiased or at.fit
+        peaks = peaks_of(judged)
+        if "missing_mode" not in self.without:
+            # Between two frequencies of the catalogue a narrow mode is seen by none of them.
+            own_pitch = [2 * np.pi * peak.frequency for peak in peaks]
+            effects += [e for e in modes_at(at.model, own_pitch) if e.key not in taken]
         table = self._scores(judged, effects, at.input_sd)
         found: list[PeriodicCandidate | CoggingCandidate] = []
         if "periodic_disturbance" not in self.without:
-            lines = periodic_candidates(judged, sizes.window)
+            lines = periodic_candidates(judged, peaks, sizes.window)
             at_resonance = [bool(adopted) and is_at_resonance(at, c.peak.frequency) for c in lines]
             found += [c for c, resonates in zip(lines, at_resonance, strict=True) if not resonates]
         if "cogging" not in self.without:

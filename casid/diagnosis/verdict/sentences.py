@@ -15,7 +15,14 @@ from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
 from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import FLOW, OVERFLOW, effect_words, either_words, place_words
+from casid.model.effects.names import (
+    FLOW,
+    OVERFLOW,
+    STORE,
+    effect_words,
+    either_words,
+    place_words,
+)
 from casid.model.identifiers import made_identifier
 from casid.model.quantities import quantity_text, quantity_texts
 
@@ -44,7 +51,7 @@ _SAYS = {
     "cross_axis": "the sensor of {where} is also sensitive to another channel",
     "hold": "the input {where} behaves between samples in another way than the model assumes",
     "actuator_lag": "the input {where} acts with a first-order lag",
-    "missing_mode": "an unmodelled oscillating part reacts on the {where} balance",
+    "missing_mode": "an unmodelled oscillating part reacts on {place}",
     "actuator_saturation": "the input {where} saturates at a limit",
     "saturation": "the channel {where} is clipped",
     "rectified": "the channel {where} shows the absolute value",
@@ -150,7 +157,7 @@ def says(effect: Effect, column: str = "") -> str:
         start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
         change = f"its change is that from {start} to {stop}, its value the one in the middle"
         return f"{says_kind(effect.kind, effect.where)} ({change})"
-    if effect.kind == "missing_mode" and effect.description:
+    if effect.kind == "missing_mode" and effect.description.startswith(STORE):
         return effect.description
     if effect.kind != "unknown" and effect.description.startswith((FLOW, OVERFLOW)):
         there = f"the {effect.where} balance" if effect.where.isidentifier() else effect.where

@@ -248,6 +248,14 @@ def switched_on(model: Model, name: str) -> None:
         model.parameters[name] = replace(p, start=1.0, lower=1.0, upper=1.0)
 
 
+def added_state(model: Model, name: str, unit: str, **declared: Any) -> Any:
+    """A state that an effect has of its own, under a name that is free (see `Model.state`)."""
+    free = model.free_name(name)
+    symbol = model.state(free, unit, **declared)
+    model.states[free] = replace(model.states[free], is_added=True)
+    return symbol
+
+
 def is_null(model: Model, names: Sequence[str]) -> bool:
     """True where an effect, its parameters `names`, is in a model at its null value of zero."""
     return model.parameters[names[0]].start == 0.0

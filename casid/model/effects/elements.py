@@ -44,7 +44,8 @@ class _Elements:
         self.z = ca.vertcat(*[model.symbol(n) for n in self.names])
         self.p = ca.vertcat(ca.SX(0, 1), *[model.symbol(n) for n in model.parameters])
         rows = {n: b.total for n, b in model.balances.items()}
-        self.rows: dict[str, Expr] = rows | dict(model._rates)
+        rates = {n: r for n, r in model._rates.items() if not model.states[n].is_added}
+        self.rows: dict[str, Expr] = rows | rates
         self.own = {n: b.rate for n, b in model.balances.items()} | {n: n for n in model._rates}
         rng = np.random.default_rng(13)
         shape = self.z.numel(), 6  # random points at which expressions are compared
@@ -129,7 +130,8 @@ class _Elements:
     def _place(self, group: Sequence[_Part]) -> Place | None:
         """The place of a group of terms, None where they have no coordinate of their own."""
         coordinate = self._coordinate(group[0].shape)
-        if coordinate is None:
+        states = self.model.states
+        if coordinate is None or any(n in states and states[n].is_added for n in coordinate):
             return None
         group = sorted(group, key=lambda r: self._rank_of(r.row, coordinate))
         owners = {self.own[r.row] for r in group} | {b.rate for b in self.model.balances.values()}

@@ -9,7 +9,13 @@ import casadi as ca
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
-from casid.model.effects.effect import HYSTERESIS_SHAPE, Effect, is_null, known_while_null
+from casid.model.effects.effect import (
+    HYSTERESIS_SHAPE,
+    Effect,
+    added_state,
+    is_null,
+    known_while_null,
+)
 from casid.model.effects.place import Place, in_symbols_of
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import FRICTION_RANGES, HYSTERESIS
@@ -126,7 +132,7 @@ def hysteresis(
         F_h, x_h, b, n = (new.symbol(n) for n in names)
         v = in_symbols_of(new, place.velocity)
         at_rest = 0.0 if is_null(new, names) else None
-        z = new.state(new.free_name("z_h"), "1", initial=at_rest, lower=-1.0, upper=1.0)
+        z = added_state(new, "z_h", "1", initial=at_rest, lower=-1.0, upper=1.0)
         before = (z**2 + HYSTERESIS.rounding) ** (0.5 * (n - 1)) * z  # |z|^(n - 1) z
         along, against = v * ca.sign(z) * before, ca.fabs(v) * before
         new.derivative(z, (v - b * against - (1 - b) * along) / x_h)

@@ -59,6 +59,9 @@ _DELAYS = {
 FLOW, OVERFLOW = "a flow that grows with", "an overflow"
 """How the descriptions begin of laws that stores have where bodies have damping and stops."""
 
+STORE = "a further store"
+"""How the description begins of a store that the model omits."""
+
 
 def effect_words(kind: str, where: str, *, description: str = "") -> str:
     """An effect and its place in words; a kind of the user's own keeps its name.

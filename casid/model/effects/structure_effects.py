@@ -1,7 +1,7 @@
 """Effects in the structure: an actuator between command and action, a part that moves along.
 
-The part swings where the balance has a position, and follows with a time constant where it has
-none: a second thermal mass, the branch of eddy currents, a further compartment.
+The part swings beside a body or between two, and where a balance has a position; elsewhere it
+follows with a time constant: a second thermal mass, the branch of eddy currents, a compartment.
 """
 
 from __future__ import annotations
@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import casadi as ca
 import numpy as np
 
 from casid.errors import ModelError
 from casid.model.declarations import Parameter, Stage
 from casid.model.effects.channel_effects import carry, commands_of, is_lagging, require_command
-from casid.model.effects.effect import Effect, Sizes, is_null, known_while_null
-from casid.model.effects.place import is_mechanical
+from casid.model.effects.effect import Effect, Sizes, added_state, is_null, known_while_null
+from casid.model.effects.names import STORE
+from casid.model.effects.place import Expr, Place, balance_place, in_symbols_of, is_mechanical
+from casid.model.effects.places import place_named, places_of
 from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES, RANGES
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
@@ -48,17 +51,24 @@ def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
     return Effect("actuator_lag", channel, (p,), apply, sided="positive", limit=longest, priority=1)
 
 
-def missing_mode(model: Model, balance: str, omega: float) -> Effect:
+def missing_mode(model: Model, where: str | Place, omega: float) -> Effect:
     """A part that swings along: relative motion q of natural frequency `omega` [rad/s] at first.
 
         q'' + 2 zeta omega q' + omega^2 q = -dv/dt                                           (1)
 
-    and J_m (omega^2 q + 2 zeta omega q') acts back, in the balance of the rate v. At rest before
-    the record. Without J_m nothing shows omega and zeta: they are then known, and estimated where
-    the extension starts from a J_m.
+    and J_m (omega^2 q + 2 zeta omega q') acts back: on the rate v of a balance, or on a relative
+    motion v between two bodies, in both. Without J_m nothing shows omega, zeta and the motion when
+    the record begins: they are then known, and estimated where the extension starts from a J_m.
+
+    Raises
+    ------
+    ModelError
+        If the place has no rate, or one that an input enters, of which no derivative is known.
     """
-    b = model.balances[balance]
-    unit, shown = _inertia_units(model, balance)
+    place = place_named(model, where)
+    if not _swings(model, place):
+        raise ModelError(f"{model.name}: {place.where} has no rate of states alone to swing with")
+    unit, shown = _inertia_units(model, place)
     lowest, highest = MISSING_MODES.lower * omega, MISSING_MODES.upper * omega
     least = MISSING_MODES.least_damping
     p = (
@@ -69,26 +79,48 @@ def missing_mode(model: Model, balance: str, omega: float) -> Effect:
 
     def apply(new: Model, names: Sequence[str]) -> None:
         J, w0, zeta = (new.symbol(n) for n in names)
-        rate = new.states[b.rate].unit
-        q = new.state(new.free_name("q_m"), unit_quotient(rate, "1/s", 1), initial=0.0)
-        v = new.state(new.free_name("v_m"), rate, initial=0.0)
+        rate = place.velocity_unit
+        at_rest = 0.0 if is_null(new, names) else None
+        q = added_state(new, "q_m", unit_quotient(rate, "1/s", 1), initial=at_rest)
+        v = added_state(new, "v_m", rate, initial=at_rest)
         spring = w0**2 * q + 2 * zeta * w0 * v
         new.derivative(q, v)
-        new.derivative(v, -spring - new.der(b.rate))
-        new.add_term(balance, J * spring)
+        new.derivative(v, -spring - _change(new, place.velocity))
+        place.add(new, J * spring)
         known_while_null(new, names)
 
     return Effect(
         "missing_mode",
-        balance,
+        place.where,
         p,
         apply,
         sided="positive",
         variant=omega,
         cost=MISSING_MODES.cost,
         priority=1,
+        description=place.words,
         declared_units={"J_m": shown},
     )
+
+
+def _swings(model: Model, place: Place) -> bool:
+    """True of a rate of states, of bodies or of what has a position."""
+    if place.velocity is None or not place.has_own_force:
+        return False
+    if any(row not in model.balances for row, _ in place.shares):
+        return False  # no inertia
+    own = [s.name() for s in ca.symvar(ca.SX(place.velocity))]
+    moves = place.is_mechanical or (
+        not place.is_relative and model.position_of(model.balances[place.where].rate) is not None
+    )
+    return moves and all(name in model.states for name in own)
+
+
+def _change(model: Model, velocity: Expr) -> Expr:
+    """The derivative of an expression in states."""
+    v = ca.SX(in_symbols_of(model, velocity))
+    own = [s for s in ca.symvar(v) if s.name() in model.states]
+    return sum(ca.jacobian(v, s) * model.der(s) for s in own)
 
 
 def missing_store(model: Model, balance: str, tau: float) -> Effect:
@@ -103,7 +135,7 @@ def missing_store(model: Model, balance: str, tau: float) -> Effect:
     """
     b = model.balances[balance]
     rate = model.states[b.rate].unit
-    unit, shown = _inertia_units(model, balance)
+    unit, shown = _inertia_units(model, balance_place(model, balance))
     p = (
         Parameter("C_m", unit, 0.0, lower=0.0),
         Parameter(
@@ -118,7 +150,7 @@ def missing_store(model: Model, balance: str, tau: float) -> Effect:
     def apply(new: Model, names: Sequence[str]) -> None:
         C, time_constant = (new.symbol(n) for n in names)
         level = 0.0 if is_null(new, names) else None
-        r = new.state(new.free_name("r_m"), rate, initial=level)
+        r = added_state(new, "r_m", rate, initial=level)
         new.derivative(r, new.der(b.rate) - r / time_constant)
         new.add_term(balance, -C * r / time_constant)
         known_while_null(new, names)
@@ -132,20 +164,20 @@ def missing_store(model: Model, balance: str, tau: float) -> Effect:
         variant=tau,
         cost=MISSING_STORES.cost,
         priority=1,
-        description=f"a further store, which the model omits, follows {b.rate} with a time "
+        description=f"{STORE}, which the model omits, follows {b.rate} with a time "
         f"constant (in the {balance} balance)",
         declared_units={"C_m": shown},
     )
 
 
-def _inertia_units(model: Model, balance: str) -> tuple[str, str]:
-    """SI unit of a further inertia of a balance, and the unit that it is shown in.
+def _inertia_units(model: Model, place: Place) -> tuple[str, str]:
+    """SI unit of a further inertia at a place, and the unit that it is shown in.
 
-    Both are those of the inertia that the model has, where it is a quantity with a unit.
+    Both are those of the inertia that the model has there, where it is a quantity with a unit.
     """
-    b = model.balances[balance]
-    unit = unit_quotient(unit_quotient(b.unit, model.states[b.rate].unit, 1), "1/s", 1)
-    own = model.parameters.get(str(b.inertia))
+    unit = unit_quotient(unit_quotient(place.unit, place.velocity_unit, 1), "1/s", 1)
+    balance = model.balances.get(place.shares[0][0])
+    own = model.parameters.get(str(balance.inertia)) if balance is not None else None
     if own is None or not same_dimension(own.unit, unit):
         return unit, unit
     return own.unit, model.declared_units.get(own.name, own.unit)
@@ -176,17 +208,22 @@ def structure_effects_of(model: Model, sizes: Sizes) -> list[Effect]:
 
 
 def missing_modes_of(model: Model, sizes: Sizes, Ts: float | None = None) -> list[Effect]:
-    """Parts that may move along in each balance.
+    """Parts that may move along with every body and store.
 
-    They swing where the rate is the derivative of a position, and follow where it is none. All of
-    them together are cheap to test where their first parameters are pinned at zero
-    (`Effect.extended` with upper=0).
+    They swing beside a body, between two, and where the rate is the derivative of a position; with
+    what has none they follow. All of them together are cheap to test where their first parameters
+    are pinned at zero (`Effect.extended` with upper=0).
     """
-    frequencies, times = mode_frequencies(sizes, Ts), time_constants(sizes, Ts)
-    found: list[Effect] = []
+    times = time_constants(sizes, Ts)
+    found = modes_at(model, mode_frequencies(sizes, Ts))
+    swinging = {e.where for e in found}
     for balance, b in model.balances.items():
-        if model.position_of(b.rate) is not None:
-            found += [missing_mode(model, balance, omega) for omega in frequencies]
-        elif not is_mechanical(b.unit):
+        if balance not in swinging and not is_mechanical(b.unit):
             found += [missing_store(model, balance, tau) for tau in times]
     return found
+
+
+def modes_at(model: Model, frequencies: Sequence[float]) -> list[Effect]:
+    """Parts that may swing along, each with natural frequencies [rad/s] to begin from."""
+    places = [p for p in places_of(model) if _swings(model, p)]
+    return [missing_mode(model, place, omega) for place in places for omega in frequencies]

@@ -10,7 +10,12 @@ from scipy.stats import binom
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
-from casid.diagnosis.evidence.spectral_peaks import find_peaks, periodic_candidates, tail
+from casid.diagnosis.evidence.spectral_peaks import (
+    find_peaks,
+    peaks_of,
+    periodic_candidates,
+    tail,
+)
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from problems import pendulum
 from tests.support import truth
@@ -94,7 +99,7 @@ def test_a_periodic_torque_is_found_and_recovered_from_a_record():
     model = pendulum.problem.model.with_known(m=0.0)
     weighing = Weighing(experiments)
     at = weighing.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
-    (found,) = periodic_candidates(at.fit, (0.0, 40.0))
+    (found,) = periodic_candidates(at.fit, peaks_of(at.fit), (0.0, 40.0))
     assert found.peak.p_value < 1e-6
     extended, names = found.effect.extended(model, starts=found.starts)
     fit = weighing.minimum(weighing.criterion(extended, at.noise, at.fit.values, at.criterion))
@@ -114,7 +119,7 @@ def test_a_record_without_a_line_gives_no_candidate():
     model = pendulum.problem.model.with_known(m=0.0)
     weighing = Weighing(experiments)
     at = weighing.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
-    assert periodic_candidates(at.fit, (0.0, 20.0), alpha=0.01) == []
+    assert peaks_of(at.fit, alpha=0.01) == []
 
 
 def test_a_flow_to_and_fro_between_two_stores_is_one_disturbance_and_not_two():

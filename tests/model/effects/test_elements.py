@@ -141,7 +141,8 @@ def test_every_effect_of_a_relative_motion_is_nothing_at_null_and_its_units_agre
         e = extended.explicit()
         own = ca.vertcat(*[extended.symbol(n) for n in names])
         f = ca.substitute(e.f, own, ca.DM([extended.parameters[n].start for n in names]))
-        symbols = [base.x, base.u, base.p]
+        added = ca.vertcat(ca.SX(0, 1), *[e.x[i] for i in range(base.x.numel(), e.x.numel())])
+        symbols = [base.x, base.u, base.p, added]  # wherever a part is that nothing feels
         gap = ca.Function("gap", symbols, [f[: base.f.numel()] - base.f])
         at = [ca.DM([0.3 + 0.2 * i for i in range(s.numel())]) for s in symbols]
         assert float(ca.norm_inf(gap(*at))) < 1e-12

@@ -375,11 +375,50 @@ def test_stores_are_sought_in_balances_without_a_position_from_samples_to_a_shar
     assert times[0] == pytest.approx(4 * TS_HEAT)
     assert times[-1] == pytest.approx(0.25 * N * TS_HEAT)
     assert time_constants(Sizes({}, {}, (0.0, 1.0), 0.1), 0.1) == []
+
+
+def test_between_two_bodies_a_part_swings_and_acts_on_both():
+    """By scipy: what it gives to the one body it takes from the other."""
+    m, J1, J2, k, c = casid.Model("drive"), 0.5, 0.8, 30.0, 0.2
+    torque = m.input("torque", "N m", hold="foh", known=True)
+    w1, w2 = (m.state(n, "rad/s", initial=0.0) for n in ("w1", "w2"))
+    e = m.state("e", "rad", initial=0.0)
+    first = m.parameter("J1", "kg m^2", start=J1, lower=0.0)
+    stiffness = m.parameter("k", "N m/rad", start=k)
+    shaft = stiffness * e + c * (w1 - w2)
+    m.derivative(e, w1 - w2)
+    m.balance(w1, "motor", inertia=first, terms=[torque, -shaft])
+    m.balance(w2, "load", inertia=J2, terms=[shaft])
+    m.output("speed", w1, "rad/s")
+    effect = missing_mode(m, "w1-w2", OMEGA)
+    assert effect.description == "acts on e in motor and in load times -1"
+    assert {e.where for e in missing_modes_of(m, SIZES, TS)} == {"motor", "load", "w1-w2"}
+    model = effect.extend(m, starts={"J_m": J, "zeta_m": ZETA})
+
+    def rate(t, z):
+        w1, w2, e, q, v = z
+        spring = OMEGA**2 * q + 2 * ZETA * OMEGA * v
+        shaft = k * e + c * (w1 - w2) - J * spring
+        d1, d2 = (np.interp(t, T, COMMAND) - shaft) / J1, shaft / J2
+        return [d1, d2, w1 - w2, v, -spring - (d1 - d2)]
+
+    solved = solve_ivp(rate, (0, T[-1]), np.zeros(5), t_eval=T, max_step=TS, rtol=1e-8, atol=1e-11)
+    record = casid.Record(
+        {"torque": COMMAND, "speed": np.zeros(N)}, {"torque": "N m", "speed": "rad/s"}, Ts=TS
+    )
+    criterion = SimulationError(model, [casid.Experiment(record, {}, "r")], weights=np.ones(1))
+    found = criterion.simulate(at(criterion), 0)[0][:, 0]
+    assert found == pytest.approx(solved.y[0], abs=3e-4 * np.abs(solved.y[0]).max())
+
+
+def test_a_body_without_a_position_may_have_a_part_that_swings_along():
+    """A motor of which the speed alone is modelled, with an elastic load behind it."""
     shaft = casid.Model("shaft")
     w = shaft.state("w", "rad/s")
     shaft.balance(w, "torque", inertia=1.0, terms=[-shaft.parameter("d", "N m s/rad") * w])
     shaft.output("speed", w, "rad/s")
-    assert missing_modes_of(shaft, Sizes({"w": 1.0}, {}, (0.0, 60.0), 0.1), 0.1) == []
+    found = missing_modes_of(shaft, Sizes({"w": 1.0}, {}, (0.0, 60.0), 0.1), 0.1)
+    assert {e.where for e in found} == {"torque"}
 
 
 def test_modes_of_coupled_balances_are_solved_for_beside_effects_in_their_inertias():
