@@ -191,8 +191,8 @@ def _concluded(
     judged = judge(problem, found, false_alarm_rate)
     advice = recommend(problem, found, judged, plan=plan)
     remainder = judged.remainder
-    # With no cause, the noise is that beside the disturbances that explain the misfit.
-    beside = remainder.beside if remainder is not None and not judged.causes else None
+    # The noise is that beside the disturbances that are reported.
+    beside = remainder.beside if remainder is not None else None
     return Diagnosis(
         problem=problem.name,
         verdict=judged.verdict,

@@ -843,7 +843,9 @@ class Judging:
     alias: float = _is(0.99, "|cosine| of two effects that are the same in this model", POWER_STUDY)
     aliases: int = _is(3, "of them that are listed", POWER_STUDY)
     small_outliers: float = _is(
-        0.01, "of the criterion: outliers that carry less are not reported", _SPIKES
+        0.01,
+        "of the criterion, and of the sensor's white noise: outliers that carry less are not reported",
+        _SPIKES,
     )
     unlike: float = _is(
         1.5, "times the fitted error or floor: a held-out error that forbids a verdict", CASES

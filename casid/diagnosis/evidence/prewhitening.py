@@ -56,6 +56,14 @@ class Weighted:
         """The whitened criterion at its minimum."""
         return self.fit.criterion
 
+    @property
+    def likelihoods(self) -> Weighted:
+        """The same under a noise that gives likelihoods, where one was sought: disturbances in it.
+
+        Where misfit passes for noise, the noise of sensors and inputs alone gives none.
+        """
+        return self.beside if self.noise_absorbs_misfit and self.beside is not None else self
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:

@@ -23,20 +23,31 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 from scipy.stats import chi2
 
 from casid.arrays import TINY
 from casid.diagnosis.evidence.baseline import Baseline
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.prewhitening import (
+    EXACT,
+    Weighing,
+    Weighted,
+    minus_log_likelihood,
+)
 from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
-from casid.diagnosis.search.refinement import Adoption
+from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
-from casid.diagnosis.search.simulation_errors import is_predicted, simulation_errors
+from casid.diagnosis.search.simulation_errors import (
+    Soundness,
+    is_predicted,
+    simulation_errors,
+)
 from casid.diagnosis.settings import DiagnosisSettings
+from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
 
 RANDOM = "an unrecorded random disturbance explains the misfit as well"
@@ -70,13 +81,17 @@ def weighed_against_disturbances(
         start = replace(start, noise_absorbs_misfit=True)  # which the bound has hidden
         found = replace(found, at=start) if not found.adopted else found
     score, is_random = math.inf, False
+    if len(found.adopted) > 1 and found.at.noise_absorbs_misfit:
+        found = _each_beside(weighing, found, baseline, search, settings)
     if found.adopted and found.fit is not None:
         nothing = _score(bare, (), search)
         is_clean = not found.at.noise_absorbs_misfit
         if is_clean and _score(found.at, found.adopted, search) < nothing:
             # Likelier, even with no disturbance beside the causes.
             return search, start, _charged(found, bare, search)
-        beside = _beside(weighing, found, bare)
+        own = weighing.weigh(found.fit.criterion.model, found.fit)
+        found = replace(found, at=replace(found.at, beside=own))
+        beside = _beside(weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
         is_foreseen = _predicts(found.fit, baseline)
         charged = found if is_foreseen else _charged(found, bare, search, beside)
@@ -113,32 +128,68 @@ def _as_white(fit: Fit) -> float:
     return float(0.5 * np.sum(samples[seen] * (1 + np.log(means))))
 
 
-def _beside(weighing: Weighing, found: Adoption, bare: Weighted) -> float:
+def _beside(weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted) -> float:
     """Minus the log-likelihood of the extended model under what is left for a disturbance.
 
     It has the model as it is (`bare`) in it, and is no less likely: where the disturbance that its
-    own residual suggests leads elsewhere, it is what the effects gain under that of the model as it
-    is, fitted from where they do nothing.
+    own residual suggests (`own`) leads elsewhere, it is what the effects gain under that of the
+    model as it is, fitted from where they do nothing.
     """
-    assert found.fit is not None
-    model = found.fit.criterion.model
-    own = minus_log_likelihood(weighing.weigh(model, found.fit))
     if not bare.noise.spectra:
-        return own
-    values = dict(bare.fit.values)
+        return minus_log_likelihood(own)
+    model, values = own.model, dict(bare.fit.values)
     for a in found.adopted:
         for name, null in null_values(a.candidate).items():
             p = model.parameters[name]  # of what an input does or does not, the one alone
             values[name] = min(max(null, p.lower), p.upper)
     gain = bare.fit.solution.value - weighing.fitted(model, bare, values).solution.value
-    return min(own, minus_log_likelihood(bare) - max(gain, 0.0))
+    return min(minus_log_likelihood(own), minus_log_likelihood(bare) - max(gain, 0.0))
+
+
+def _each_beside(
+    weighing: Weighing,
+    found: Adoption,
+    baseline: Baseline,
+    search: Search,
+    settings: DiagnosisSettings,
+) -> Adoption:
+    """What was found, without causes in whose place a disturbance explains as much beside the rest.
+
+    The first cause may be a law, and a later one what a disturbance leaves.
+    """
+    base, split = baseline.fit, baseline.split
+    units = base.criterion.weights
+    once = replace(settings.fit, starts=1, solver=settings.fit.solver or EXACT)
+    before = simulation_errors(base, split, units)
+    refine = Refinement(search, split, once, units, baseline.start, before)
+
+    is_sound = Soundness(base, split)
+
+    @cache
+    def under_disturbance(fit: Fit) -> Weighted:
+        return weighing.weigh(fit.criterion.model, fit, rounds=1)
+
+    def why(cause: Adopted, fit: Fit, without: Fit) -> str:
+        if _foresees(without, fit, split) or not is_sound(without):
+            return ""
+        beside, instead = under_disturbance(fit), under_disturbance(without)
+        is_needed = _score(beside, [cause], search) < _score(instead, (), search)
+        return "" if is_needed else RANDOM
+
+    settings.progress("compare each cause with a random disturbance in its place")
+    what = "the comparison of each cause with a random disturbance"
+    return search.attempts.attempt(what, partial(refine.needed, found, why)) or found
 
 
 def _predicts(fit: Fit, baseline: Baseline) -> bool:
     """True if an extended model foresees most of what was held out of the records."""
-    units = fit.criterion.weights
-    before, after = (simulation_errors(f, baseline.split, units) for f in (baseline.fit, fit))
-    return is_predicted(before, after)
+    return _foresees(baseline.fit, fit, baseline.split)
+
+
+def _foresees(before: Fit, after: Fit, split: Split) -> bool:
+    """True if most of what one model leaves of what was held out is foreseen by another."""
+    units = after.criterion.weights
+    return is_predicted(*(simulation_errors(f, split, units) for f in (before, after)))
 
 
 def _significant(found: Adoption, bare: Weighted, search: Search, start: Weighted) -> Adoption:
@@ -168,7 +219,9 @@ def _charged(
     if not found.adopted or found.fit is None:
         return found
     if beside is None and found.at.noise_absorbs_misfit:
-        beside = _beside(search.weighing.with_disturbances(), found, bare)
+        weighing = search.weighing.with_disturbances()
+        own = found.at.beside or weighing.weigh(found.at.model, found.fit)
+        beside = _beside(weighing, found, own, bare)
     left = minus_log_likelihood(found.at) if beside is None else beside
     gain = minus_log_likelihood(bare) - left
     effects = [a.candidate.effect for a in found.adopted]

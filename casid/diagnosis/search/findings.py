@@ -94,7 +94,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         extended = reweighted if reweighted is not None and is_sound(reweighted) else extended
     if not adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
-    adopted = reconsidered(search, adopted, start, at)
+    adopted = reconsidered(search, adopted, start, at.likelihoods)
     once = replace(settings.fit, starts=1)
     named = replace(found, adopted=tuple(adopted), at=at, fit=extended)
     likelier = search.attempts.attempt(

@@ -29,7 +29,7 @@ def with_likelier_rivals(
     found : the causes with the rivals that cannot be rejected beside the others in the end.
     start : the model as it is.
     """
-    if found.fit is None or found.at.noise_absorbs_misfit:
+    if found.fit is None or found.at.likelihoods.noise_absorbs_misfit:
         return found
     for i in range(len(found.adopted)):
         rival = likelier_rival(found.adopted, i)

@@ -15,7 +15,7 @@ therefore refined when it is complete, by the errors of all causes together:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -98,6 +98,27 @@ class Refinement:
         if lean is not found:
             self.search.refused += refused
         return lean
+
+    def needed(self, found: Adoption, why: Callable[[Adopted, Fit, Fit], str]) -> Adoption:
+        """Without causes that are not needed beside the others, last first; one stays.
+
+        Parameters
+        ----------
+        why : a cause is not needed, by the fits with it and without; an empty text where it is.
+        """
+        kept, fit, refused = list(found.adopted), found.fit, []
+        assert fit is not None
+        for a in reversed(found.adopted):
+            if len(kept) == 1:
+                break
+            without = self._without(fit, a.candidate)
+            reason = why(a, fit, without)
+            if reason:
+                refused.append((a.candidate, reason))
+                kept.remove(a)
+                fit = without
+        self.search.refused += refused
+        return self._built(found, kept, fit) if refused else found
 
     def exchanged(self, found: Adoption) -> Adoption:
         """With rivals in the place of causes that predict worse."""
@@ -293,8 +314,10 @@ class Refinement:
 
     def _lean(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
         """The model built anew with the effects that are left: no term stays at its null value."""
-        if self._is_astray(found.fit, fit):
-            return found
+        return found if self._is_astray(found.fit, fit) else self._built(found, kept, fit)
+
+    def _built(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
+        """The same, however much more the fit leaves."""
         inside = [a for a in found.adopted if a.candidate.names[0] in fit.criterion.names]
         if len(inside) == len(found.adopted):
             return self._refined(found, kept, fit)

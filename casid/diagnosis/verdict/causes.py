@@ -41,12 +41,16 @@ def causes_of(
     fit = found.best_fit
     outputs, weights = fit.criterion.outputs, fit.criterion.weights
     scale = {o: weights[outputs.index(o)] ** 2 / 2 for o in outputs}
-    # Few and small spikes are left out of the fit, but are nothing that a user would miss.
-    least = JUDGING.small_outliers * fit.solution.value
+    # Few and small spikes are left out of the fit, but are nothing that a user would miss. What a
+    # disturbance leaves besides is no measure: it has nothing to do with the sensor.
+    noise = found.at.likelihoods.full.output_sd
+    counts = sum(d.used.sum(axis=0) for d in fit.criterion.data)
+    white = {o: counts[i] * noise[i] ** 2 * scale[o] for i, o in enumerate(outputs)}
+    least = {o: JUDGING.small_outliers * min(fit.solution.value, white[o]) for o in outputs}
     corrupted = found.baseline.corrupted
     onsets = events_of([a.candidate for a in found.adopted])
     spikes = [confirmed(s, fit, found.baseline.split, onsets) for s in corrupted.spikes]
-    kept = [s for s in spikes if s is not None and s.energy * scale[s.channel] > least]
+    kept = [s for s in spikes if s is not None and s.energy * scale[s.channel] > least[s.channel]]
     samples = [(s.energy * scale[s.channel], _outliers(found.search, s)) for s in kept]
     samples += [  # a fact, however little it cuts off
         (c.energy * scale[c.channel], _saturation(found.search, c)) for c in corrupted.plateaus
