@@ -844,7 +844,8 @@ class Judging:
     aliases: int = _is(3, "of them that are listed", POWER_STUDY)
     small_outliers: float = _is(
         0.01,
-        "of the criterion, and of the sensor's white noise: outliers that carry less are not reported",
+        "of the criterion, and of the white noise of the sensor: outliers that carry less are not "
+        "reported",
         _SPIKES,
     )
     unlike: float = _is(
