@@ -65,6 +65,12 @@ class Clipping:
         "of the median step: a step into a plateau that no motion coming to rest takes",
         _PLATEAUS,
     )
+    turn: float = _is(
+        5.0,
+        "steps of a counted channel by which a motion that turns has left its end where it is "
+        "twice as far from the middle of it: four of a parabola",
+        f"{TESTS}/evidence/test_plateaus.py",
+    )
     apart: float = _is(
         3.0,
         "times the largest step between other samples, beyond which single samples at an end are a "

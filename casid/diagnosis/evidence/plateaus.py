@@ -48,7 +48,7 @@ def find_plateaus(
 
     Ties at the end are compared with those of the values next to it: a coarse converter repeats
     all of them, and some more than others (negative binomial). What rests at the end of its travel
-    repeats as well, so one of two more must hold. The simulation lies beyond the limit on those
+    repeats as well, and where it turns a counted channel does (`_turns`); one of two more must hold. The simulation lies beyond the limit on those
     samples, by more than its error elsewhere explains (a t-test), and moves there. Or the channel
     runs into the limit and out of it at half its usual speed or more, where a motion that comes to
     rest slows down.
@@ -70,7 +70,7 @@ def find_plateaus(
         at = [u & (side * y >= level) for y, u in zip(measured, used, strict=True)]
         p = 1.0 if _stands_apart(measured, used, at) else max(_ties(side * values), TINY)
         beyond = np.concatenate([side * y[m] - level for y, m in zip(simulated, at, strict=True)])
-        if p >= alpha or not np.all(np.isfinite(beyond)):
+        if p >= alpha or not np.all(np.isfinite(beyond)) or _turns(measured, at):
             continue
         elsewhere = [u & ~m for u, m in zip(used, at, strict=True)]
         errors = [y - s for y, s in zip(measured, simulated, strict=True)]
@@ -178,6 +178,27 @@ def _runs_in(measured: Sequence[Array], at: Sequence[Array]) -> bool:
         return False
     # A body that hits its stop comes fast and leaves slowly: each side counts.
     return min(float(np.median(x)) for x in edges) >= CLIPPING.fast * float(np.median(usual))
+
+
+def _turns(measured: Sequence[Array], at: Sequence[Array]) -> bool:
+    """True where a channel that is counted or rounded only turns back.
+
+    Near its turn a motion is a parabola: twice as far from the middle of the samples at the end as
+    the last of them, it has come four steps of the channel down, and a little. What a limit cuts
+    off has come further; else it cuts off no more than a step or two.
+    """
+    steps = np.diff(np.unique(np.concatenate(measured)))
+    step = float(np.min(steps[steps > 0.0], initial=np.inf))
+    runs: list[tuple[int, float]] = []
+    for y, mask in zip(measured, at, strict=True):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+        for start, stop in edges.reshape(-1, 2):
+            half = (stop - start + 1) // 2
+            beside = [k for k in (start - half, stop - 1 + half) if 0 <= k < len(y)]
+            runs += [(stop - start, abs(float(y[k] - y[start]))) for k in beside]
+    longest = max((n for n, _ in runs), default=0)
+    drops = [drop for n, drop in runs if 2 * n >= longest and np.isfinite(drop)]
+    return bool(drops) and float(np.median(drops)) <= CLIPPING.turn * step
 
 
 def _ties(values: Array) -> float:

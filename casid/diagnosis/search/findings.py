@@ -94,6 +94,13 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         extended = reweighted if reweighted is not None and is_sound(reweighted) else extended
     if not adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
+    if adopted and at.noise_absorbs_misfit and at.beside is None:
+        what = "the fit of the extended model under a random disturbance"
+        left = at
+        beside = search.attempts.attempt(
+            what, lambda: search.weighing.with_disturbances().weigh(left.model, left.fit)
+        )
+        at = replace(at, beside=beside)
     adopted = reconsidered(search, adopted, start, at.likelihoods)
     once = replace(settings.fit, starts=1)
     named = replace(found, adopted=tuple(adopted), at=at, fit=extended)

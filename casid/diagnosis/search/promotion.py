@@ -13,8 +13,8 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, Candidate, extended_by, is_needed, name_of
 from casid.diagnosis.search.refinement import Adoption, values_by_new_names, whole_fit
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.search.simulation_errors import simulation_errors
-from casid.diagnosis.thresholds import COMPARISON
+from casid.diagnosis.search.simulation_errors import on_common_samples, simulation_errors
+from casid.diagnosis.thresholds import COMPARISON, JUDGING
 from casid.estimation.holdout import Split, why_no_better
 from casid.estimation.simulation.fit import FitSettings
 
@@ -61,7 +61,7 @@ def _in_its_place(
     split: Split,
     settings: FitSettings,
 ) -> Adoption:
-    """The causes with a rival in the place of one, unless it predicts worse."""
+    """The causes with a rival in the place of one, unless it predicts or simulates worse."""
     fit, own = found.fit, found.adopted[i].candidate
     assert fit is not None
     search.progress(f"take {name_of(rival.effect)} in the place of {name_of(own.effect)}")
@@ -71,9 +71,11 @@ def _in_its_place(
     values = {**fit.values, **values_by_new_names(placed, causes)}
     units = fit.criterion.weights
     other = whole_fit(model, split, settings, units, values)
-    before, after = (simulation_errors(f, split, units) for f in (fit, other))
-    if not why_no_better(after.continued, before.continued):
+    before, after = on_common_samples(*(simulation_errors(f, split, units) for f in (fit, other)))
+    if len(before.continued) and not why_no_better(after.continued, before.continued):
         return found  # the cause predicts better, by more than chance
+    if after.square > (1 + JUDGING.practical) * before.square:
+        return found  # likelier beside a disturbance, and yet it simulates worse
     adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
     least = rival.merit - COMPARISON.strong
     left = (r for r in adopted[i].rivals if r.candidate.effect.key != rival.effect.key)
