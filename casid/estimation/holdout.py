@@ -159,9 +159,13 @@ def simulate_apart(
     near : of such an end the state that the simulation of the whole record has there. The search
         may begin at it, and what the model says of the state that records begin in says nothing.
     """
-    if any(fit.criterion.parts(e) > 1 for e in range(len(fit.criterion.data))):
+    if _has_windows(fit):
         return in_windows(fit, experiment, on_clock=on_clock)
     return _simulated_apart(fit, experiment, on_clock=on_clock, near=near)
+
+
+def _has_windows(fit: Fit) -> bool:
+    return any(fit.criterion.parts(e) > 1 for e in range(len(fit.criterion.data)))
 
 
 def _simulated_apart(
@@ -223,8 +227,10 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
     for i, (e, mask) in enumerate(zip(split.whole, split.held, strict=True)):
         if anew and mask.any():
             tail = replace(e, record=_tail(e.record, mask))
-            there = whole_simulation(fit, split, i)[2][int(np.argmax(mask))]
-            near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
+            near = None
+            if not _has_windows(fit):  # each window begins in a state of its own
+                there = whole_simulation(fit, split, i)[2][int(np.argmax(mask))]
+                near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
             d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
             parts.append(np.where(d.used, d.y - y, np.nan) * weights)
     rest = Split([], [], [], split.apart) if anew else split
