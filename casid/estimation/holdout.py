@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -106,9 +107,19 @@ def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array
         y, x, _ = fit.criterion.simulate(fit.x, index, signals=d)
     held = split.held[index]
     if fit.criterion.parts(index) > 1 and held.any():
-        tail = replace(split.whole[index], record=_tail(split.whole[index].record, held), name="")
-        _, y[held], x[held] = in_windows(fit, tail, on_clock=True)
+        _, y[held], x[held] = _end_in_windows(fit, split.whole[index], int(np.argmax(held)))
     return d, y, x
+
+
+@functools.lru_cache(maxsize=16)
+def _end_in_windows(fit: Fit, whole: Experiment, first: int) -> tuple[Signals, Array, Array]:
+    """A fitted record from sample `first` to its end, `in_windows`.
+
+    A fit is asked for it again and again: as a part of the whole, as an end that starts anew, for
+    its errors and for its figures.
+    """
+    tail = replace(whole, record=_tail(whole.record, first), name="")
+    return in_windows(fit, tail, on_clock=True)
 
 
 def in_windows(fit: Fit, experiment: Experiment, *, on_clock: bool) -> tuple[Signals, Array, Array]:
@@ -159,9 +170,13 @@ def simulate_apart(
     near : of such an end the state that the simulation of the whole record has there. The search
         may begin at it, and what the model says of the state that records begin in says nothing.
     """
-    if any(fit.criterion.parts(e) > 1 for e in range(len(fit.criterion.data))):
+    if _has_windows(fit):
         return in_windows(fit, experiment, on_clock=on_clock)
     return _simulated_apart(fit, experiment, on_clock=on_clock, near=near)
+
+
+def _has_windows(fit: Fit) -> bool:
+    return any(fit.criterion.parts(e) > 1 for e in range(len(fit.criterion.data)))
 
 
 def _simulated_apart(
@@ -222,18 +237,21 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
     parts = []
     for i, (e, mask) in enumerate(zip(split.whole, split.held, strict=True)):
         if anew and mask.any():
-            tail = replace(e, record=_tail(e.record, mask))
-            there = whole_simulation(fit, split, i)[2][int(np.argmax(mask))]
-            near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
-            d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
+            first = int(np.argmax(mask))
+            if _has_windows(fit):  # each begins in a state of its own
+                d, y, _ = _end_in_windows(fit, e, first)
+            else:
+                there = whole_simulation(fit, split, i)[2][first]
+                near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
+                tail = replace(e, record=_tail(e.record, first))
+                d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
             parts.append(np.where(d.used, d.y - y, np.nan) * weights)
     rest = Split([], [], [], split.apart) if anew else split
     parts += [(h.measured - h.simulated) * weights for h in validation(fit, rest)]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
 
 
-def _tail(record: Record, mask: Array) -> Record:
-    first = int(np.argmax(mask))
+def _tail(record: Record, first: int) -> Record:
     start = record.t0 + (first - 0.5) * record.Ts
     return record.between(start, np.inf)
 

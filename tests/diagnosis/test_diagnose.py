@@ -223,7 +223,7 @@ def test_a_constant_force_is_a_bias_of_either_sensor_as_well():
 
 @pytest.mark.slow
 def test_two_effects_at_once_are_both_named():
-    hidden = truth.roll_decay("both", 3.0, seed=3)
+    hidden = truth.roll_decay("both", 3.0, seed=3, Ts=0.05)
     d = casid.diagnose(roll_decay.problem, record_of(hidden), advise=False)
     # The catalogue's cubic is about zero, the truth's about the heel: a bias may follow.
     assert {c.kind for c in d.causes[:2]} == {"quadratic_damping", "cubic_stiffness"}

@@ -223,7 +223,9 @@ def test_an_estimate_from_the_noisy_ship_names_the_yaw_gyro(noisy) -> None:
 def test_a_parameter_at_its_bound_is_never_called_adequate(noisy, monkeypatch) -> None:
     """The yaw gyro the wrong way round, had nothing suspected it: K_r, at most 0, ends at 0."""
     monkeypatch.setattr("casid.diagnosis.evidence.baseline.wrong_sign", lambda *_, **__: None)
-    found = casid.diagnose(BUILT, negated(noisy, "r"), starts=1, max_causes=1, advise=False)
+    (turned,) = negated(noisy, "r")
+    short = casid.Experiment(turned.record.between(0.0, 30.0), turned.known, turned.name)
+    found = casid.diagnose(BUILT, [short], starts=1, max_causes=1, advise=False)
     assert found.verdict == "undecided"
     assert "K_r at its upper bound (0 N m s/rad)" in found.sentence
     assert "signs" in found.advice

@@ -26,10 +26,12 @@ def slider() -> casid.Problem:
     return casid.Problem("slider", m, noise={"position": 2e-4})
 
 
-def record(lag: float = 0.0, sharp: float = SHARP, TS: float = TS) -> casid.Record:
+def record(
+    lag: float = 0.0, sharp: float = SHARP, TS: float = TS, duration: float = 8.0
+) -> casid.Record:
     """By SciPy: slow and fast motion, friction that reverses within 15 mm/s, a drive with a lag."""
     rng = np.random.default_rng(1)
-    t = TS * np.arange(round(12.0 / TS))
+    t = TS * np.arange(round(duration / TS))
     F = 4.0 * np.sin(2 * np.pi * 0.41 * t) + 3.0 * np.sin(2 * np.pi * 0.13 * t)
 
     def slope(_: float, s: np.ndarray, force: float) -> list[float]:
@@ -79,7 +81,7 @@ def test_friction_beside_a_lag_is_as_sharp_as_alone(lag: float):
     About its largest value the gain, twice a log-likelihood ratio, falls by 1.5 where the speed is
     a quarter larger: a standard error of a fifth.
     """
-    found = casid.diagnose(slider(), record(lag), advise=False)
+    found = casid.diagnose(slider(), record(lag, duration=12.0), advise=False)
     assert {c.kind for c in found.causes} == {"actuator_lag", "coulomb_friction"}
     assert found.model is not None
     (friction,) = (c for c in found.model.causes if c.kind == "coulomb_friction")
