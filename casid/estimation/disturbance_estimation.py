@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.missing_samples import unbroken
 from casid.estimation.noise import NoiseModel, variances, whittle, with_rounding
 from casid.estimation.noise_response import Response
 from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of
@@ -38,6 +39,10 @@ WIDER = 3.0
 """Times as large are those of the logarithm of the width."""
 MOVES = 4
 """Of one such search on to where it gains at its edge, at most."""
+FILLED_FROM = 0.5
+"""Share of samples from which the missing ones are drawn, given the others and the noise found."""
+FILLINGS = 2
+"""Such draws, each under the noise that the one before it gives."""
 
 
 def with_disturbance_spectra(
@@ -59,28 +64,68 @@ def with_disturbance_spectra(
     """
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
+    known = with_rounding(criterion.data, known or {})
+    used = [d.used for d in criterion.data]
+    found = _searched(noise, criterion, residuals, used, known)
+    is_missed = [not u.all() and unbroken(u) is None for u in used]
+    if any(is_missed) and min(float(u.mean()) for u in used) >= FILLED_FROM:
+        # What a narrow band has at its peak leaks through gaps over all other frequencies, and its
+        # spectrum is known no better than a few of its periods are many.
+        rng = np.random.default_rng(0)
+        found = replace(found, output_sd=np.minimum(found.output_sd, _rough(residuals, used)))
+        there = [np.ones_like(u) if m else u for u, m in zip(used, is_missed, strict=True)]
+        for _ in range(FILLINGS):
+            whole = [found.filled(r, e, rng) for e, r in enumerate(residuals)]
+            found = _searched(noise, criterion, whole, there, known)
+    return found
+
+
+def _rough(residuals: Sequence[Array], used: Sequence[BoolArray]) -> Array:
+    """(ny,) largest white noise that residuals (N, ny) can have, by samples next to each other.
+
+    What four in a row leave of a parabola, whose variance is 20 times that of white noise.
+    """
+    parts = []
+    for r, u in zip(residuals, used, strict=True):
+        in_a_row = u[3:] & u[2:-1] & u[1:-2] & u[:-3]
+        parts.append(np.where(in_a_row, np.diff(r, 3, axis=0), np.nan))
+    bent = np.concatenate(parts)
+    count = np.sum(np.isfinite(bent), axis=0)
+    return np.where(
+        count > 0, np.sqrt(np.nansum(bent**2, axis=0) / np.maximum(count, 1) / 20), np.inf
+    )
+
+
+def _searched(
+    noise: NoiseModel,
+    criterion: SimulationError,
+    residuals: Sequence[Array],
+    used: Sequence[BoolArray],
+    known: Mapping[str, float],
+) -> NoiseModel:
+    """The noise with the spectra of forces that residuals (N, ny) have in the samples `used`."""
     # Without a taper the ends of a slow and large motion leak over the noise of the sensors.
     residuals = [_tapered(r) for r in residuals]
-    windows = [d.used if d.used.all() else _tapered(1.0 * d.used) for d in criterion.data]
-    envelopes = [_tapered(np.ones(d.used.shape)) for d in criterion.data]
+    windows = [u if u.all() else _tapered(1.0 * u) for u in used]
+    envelopes = [_tapered(np.ones(u.shape)) for u in used]
     sources, outputs = noise.responses[0].sources, tuple(criterion.outputs)
     search = _Search(
         noise,
         spectra_of(residuals, noise.responses, sources, len(outputs), windows, envelopes),
         [(d.N, d.Ts) for d in criterion.data],
-        with_rounding(criterion.data, known or {}),
+        known,
         outputs,
     )
-    found: dict[str, DisturbanceSpectrum] = {}
-    best = search.fitted(found)
+    chosen: dict[str, DisturbanceSpectrum] = {}
+    best = search.fitted(chosen)
     while True:
-        tried = [search.best_beside(found, name) for name in criterion.model.balances]
+        tried = [search.best_beside(chosen, name) for name in criterion.model.balances]
         more = [t for t in tried if t is not None]
         top = min(more, key=lambda t: t[0], default=None)
         if top is None or top[0] >= best[0]:
             break
-        best, found = (top[0], top[1]), top[2]
-    return search.noise_of(found, best[1]) if found else noise
+        best, chosen = (top[0], top[1]), top[2]
+    return search.noise_of(chosen, best[1]) if chosen else noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

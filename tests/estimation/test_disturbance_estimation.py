@@ -48,8 +48,11 @@ def oscillator() -> casid.Model:
     return m
 
 
-def noise_under(force: np.ndarray, rng: np.random.Generator):
-    """White and coloured noise of a record whose only cause is `force`, held between samples."""
+def noise_under(force: np.ndarray, rng: np.random.Generator, missing: float = 0.0):
+    """White and coloured noise of a record whose only cause is `force`, held between samples.
+
+    `missing` is the share of samples of the speed that there are not.
+    """
     a = np.array([[0.0, 1.0, 0.0], [-4.0, -0.3, 1.0], [0.0, 0.0, 0.0]])
     step = expm(a * TS)
     x = np.zeros((N + 1, 2))
@@ -59,6 +62,8 @@ def noise_under(force: np.ndarray, rng: np.random.Generator):
     y = x[:N] + rng.standard_normal((N, 2)) * list(SD.values())
     channels = dict(zip(SD, y.T, strict=True))
     record = casid.Record(channels, {"position": "m", "speed": "m/s"}, Ts=TS)
+    if missing:
+        record = record.mark_missing("speed", rng.random(N) < missing)
     fit = fit_model(oscillator(), [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
     white = estimate_noise(fit.criterion, fit.x)
     return fit, white, with_disturbance_spectra(white, fit.criterion, fit.x)
@@ -76,6 +81,20 @@ def test_a_first_order_force_is_found_with_its_corner_and_the_sensors_keep_their
     assert np.mean(abs(spectrum.at(OMEGA, TS) - low)) < 4 / np.sqrt(160)
     for sd, true in zip(noise.output_sd, SD.values(), strict=True):
         assert sd == pytest.approx(true, rel=4 / np.sqrt(2 * N) + 0.03)
+
+
+@pytest.mark.parametrize("missing", [0.02, 0.3])
+def test_missing_samples_lend_no_part_of_a_slow_force_to_a_quiet_sensor(missing: float):
+    """Through gaps it leaks over all frequencies, some hundred times the sensor's variance."""
+    rng = np.random.default_rng(1)
+    a = np.exp(-0.8 * TS)
+    force = lfilter([1.0], [1.0, -a], np.sqrt(1 - a * a) * rng.standard_normal(N))
+    _, _, whole = noise_under(force, np.random.default_rng(1))
+    fit, _, noise = noise_under(force, np.random.default_rng(1), missing)
+    left = np.nanstd(fit.criterion.simulated(fit.x, 0).residual[:, 1])
+    assert missing * left**2 > 20 * whole.output_sd[1] ** 2
+    count = (1 - missing) * N
+    assert noise.output_sd[1] == pytest.approx(whole.output_sd[1], rel=4 / np.sqrt(2 * count))
 
 
 def test_white_noise_gets_no_spectrum_of_its_own():

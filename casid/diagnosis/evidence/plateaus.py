@@ -48,10 +48,10 @@ def find_plateaus(
 
     Ties at the end are compared with those of the values next to it: a coarse converter repeats
     all of them, and some more than others (negative binomial). What rests at the end of its travel
-    repeats as well, and where it turns a counted channel does (`_turns`); one of two more must hold. The simulation lies beyond the limit on those
+    repeats as well, so one of two more must hold. The simulation lies beyond the limit on those
     samples, by more than its error elsewhere explains (a t-test), and moves there. Or the channel
     runs into the limit and out of it at half its usual speed or more, where a motion that comes to
-    rest slows down.
+    rest slows down. A counted channel repeats its end where it only turns (`_turns`).
 
     Parameters
     ----------

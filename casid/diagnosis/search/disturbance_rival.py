@@ -72,23 +72,19 @@ def weighed_against_disturbances(
     if minus_log_likelihood(bare) > _as_white(base):
         return search, start, found
     start = replace(start, beside=bare)
+    if held and (bare.unbiased is None or _is_held(bare.unbiased)):
+        return search, start, _significant(found, bare, search, start)
+    if held and _score(bare, (), search) >= _score(start, (), search):
+        return search, start, found
+    start = replace(start, noise_absorbs_misfit=True)  # a bound may have hidden it
     found = found if found.adopted else replace(found, at=start)
-    if held:
-        if bare.unbiased is None or _is_held(bare.unbiased):
-            return search, start, _significant(found, bare, search, start)
-        if _score(bare, (), search) >= _score(start, (), search):
-            return search, start, found
-        start = replace(start, noise_absorbs_misfit=True)  # which the bound has hidden
-        found = replace(found, at=start) if not found.adopted else found
     score, is_random = math.inf, False
-    if len(found.adopted) > 1 and found.at.noise_absorbs_misfit:
-        found = _each_beside(weighing, found, baseline, search, settings)
+    found = _each_beside(weighing, found, baseline, search, settings)
     if found.adopted and found.fit is not None:
         nothing = _score(bare, (), search)
         is_clean = not found.at.noise_absorbs_misfit
         if is_clean and _score(found.at, found.adopted, search) < nothing:
-            # Likelier, even with no disturbance beside the causes.
-            return search, start, _charged(found, bare, search)
+            return search, start, _charged(found, bare, search)  # likelier with no disturbance
         own = weighing.weigh(found.fit.criterion.model, found.fit)
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(weighing, found, own, bare)
@@ -96,8 +92,7 @@ def weighed_against_disturbances(
         is_foreseen = _predicts(found.fit, baseline)
         charged = found if is_foreseen else _charged(found, bare, search, beside)
         is_random = not is_foreseen and all(a.p_value >= search.alpha for a in charged.adopted)
-        if not is_foreseen and nothing <= score:
-            is_random |= not is_more_than_noise(bare, again)
+        is_random |= not is_foreseen and nothing <= score and not is_more_than_noise(bare, again)
         if is_clean and not is_random:
             return search, start, charged
         found = charged
@@ -155,8 +150,11 @@ def _each_beside(
 ) -> Adoption:
     """What was found, without causes in whose place a disturbance explains as much beside the rest.
 
-    The first cause may be a law, and a later one what a disturbance leaves.
+    The first cause may be a law, and a later one what a disturbance leaves. One alone is compared
+    with a disturbance as all are together.
     """
+    if len(found.adopted) < 2 or not found.at.noise_absorbs_misfit:
+        return found
     base, split = baseline.fit, baseline.split
     units = base.criterion.weights
     once = replace(settings.fit, starts=1, solver=settings.fit.solver or EXACT)

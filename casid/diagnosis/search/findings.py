@@ -94,13 +94,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         extended = reweighted if reweighted is not None and is_sound(reweighted) else extended
     if not adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
-    if adopted and at.noise_absorbs_misfit and at.beside is None:
-        what = "the fit of the extended model under a random disturbance"
-        left = at
-        beside = search.attempts.attempt(
-            what, lambda: search.weighing.with_disturbances().weigh(left.model, left.fit)
-        )
-        at = replace(at, beside=beside)
+    at = _with_likelihoods(search, at) if adopted else at
     adopted = reconsidered(search, adopted, start, at.likelihoods)
     once = replace(settings.fit, starts=1)
     named = replace(found, adopted=tuple(adopted), at=at, fit=extended)
@@ -136,6 +130,17 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         specific,
         found.remainders,
         corrected,
+    )
+
+
+def _with_likelihoods(search: Search, at: Weighted) -> Weighted:
+    """An extended model, weighed beside a disturbance as well where misfit is left."""
+    if not at.noise_absorbs_misfit or at.beside is not None:
+        return at
+    what = "the fit of the extended model beside a random disturbance"
+    weighing = search.weighing.with_disturbances()
+    return replace(
+        at, beside=search.attempts.attempt(what, lambda: weighing.weigh(at.model, at.fit))
     )
 
 

@@ -113,6 +113,27 @@ def test_a_body_that_hits_its_stop_at_speed_and_leaves_it_slowly_is_at_rest():
     assert find(y, y) is None
 
 
+def overshoot() -> Array:
+    """The answer of an encoder's axis to a step: it turns once, some counts above where it ends."""
+    t = 0.005 * np.arange(200)
+    return 95.8 * (1 - np.exp(-3.0 * t) * np.cos(6.0 * t))
+
+
+def test_a_counter_whose_motion_turns_is_not_clipped_however_far_a_wrong_model_goes():
+    """Near its turn a parabola stays on one count for long, and on each further one for less."""
+    y = np.round(overshoot())
+    assert np.sum(y == y.max()) > 10
+    assert find(y, 1.2 * overshoot()) is None
+
+
+def test_a_counter_that_is_cut_off_at_half_its_overshoot_is_clipped():
+    y = np.round(overshoot())
+    limit = np.round(95.8 + 0.5 * (y.max() - 95.8))
+    found = find(np.minimum(y, limit), overshoot())
+    assert found is not None
+    assert found.upper == limit
+
+
 def test_a_channel_that_keeps_its_speed_up_to_its_end_is_clipped_whatever_the_simulation():
     """No motion goes at full speed into a rest and at full speed out of it.
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -9,10 +12,14 @@ from scipy.signal import lfilter
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
 from casid.diagnosis.search.candidates import Adopted, Candidate
-from casid.diagnosis.search.disturbance_rival import _as_white, _beside
+from casid.diagnosis.search.disturbance_rival import _as_white, _beside, _each_beside
 from casid.diagnosis.search.refinement import Adoption
+from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.settings import DiagnosisSettings
+from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.balance_effects import quadratic_damping
+from casid.model.effects.parameter_effects import parameter_jump
 
 TS, N, SD = 0.1, 3000, 0.002
 B, C, K = 0.05, 0.8, 0.25
@@ -83,6 +90,45 @@ def test_a_drag_is_named_in_a_sea() -> None:
     assert [x.where for x in found.disturbances] == ["moment"]
 
 
+def test_spikes_of_a_sensor_are_told_in_a_sea() -> None:
+    """They are small beside the waves, and large beside the noise of the sensor that has them."""
+    calm = record(1)
+    at = np.arange(40, N, 100)
+    rate = calm["rate"].copy()
+    rate[at] += 8 * SD * np.where(np.arange(len(at)) % 3 == 0, -1.0, 1.0)
+    channels = {name: calm[name] for name in ("fin", "roll")} | {"rate": rate}
+    spiked = casid.Record(channels, calm.units, Ts=TS)
+    found = casid.diagnose(hull(), spiked, advise=False)
+    (cause,) = found.causes
+    assert (cause.kind, cause.where) == ("outliers", "rate")
+    size = next(p.value for p in cause.parameters if p.name == "size")
+    assert size == pytest.approx(8 * SD, rel=0.1)
+
+
+def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_much() -> None:
+    """Drag is a law in any sea; a righting moment that changes half-way follows this one."""
+    once = FitSettings(starts=1)
+    split = split_records([casid.Experiment(record(3, drag=1.5), {}, "sea")], 0.3)
+    model, settings = hull().model, DiagnosisSettings()
+    weighing = Weighing(split.fitted)
+    base = fit_model(model, split.fitted, once)
+    start = weighing.weigh(model, base)
+    assert start.noise_absorbs_misfit
+    search = Search(weighing, {})
+    drag = search.refitting.refit(start, quadratic_damping(model, "moment"), 1.0)
+    assert drag is not None
+    at = weighing.weigh(drag.model, drag.fit)
+    jump = search.refitting.refit(at, parameter_jump(drag.model, "C", 100.0), 0.01)
+    assert jump is not None
+    fit = fit_model(jump.model, split.fitted, once, start=jump.fit.values, throw=False)
+    causes = tuple(Adopted(c, 1e-9, ()) for c in (drag, jump))
+    both = Adoption(causes, weighing.weigh(jump.model, fit), fit)
+    baseline: Any = SimpleNamespace(fit=base, split=split, start=start)
+    kept = _each_beside(weighing.with_disturbances(), both, baseline, search, settings)
+    assert [a.candidate.effect.kind for a in kept.adopted] == ["quadratic_damping"]
+    assert [c.effect.kind for c, _ in search.refused] == ["parameter_jump"]
+
+
 def test_a_model_with_an_effect_is_no_less_likely_in_a_sea_than_without_it() -> None:
     """It has the other one in it, whatever disturbance its own residual suggests."""
     once, model = FitSettings(starts=1), hull().model
@@ -95,7 +141,8 @@ def test_a_model_with_an_effect_is_no_less_likely_in_a_sea_than_without_it() -> 
     start = {**base.values, "d_2": 5.0, "C": 5.0}
     fit = fit_model(extended, experiments, once, start=start, throw=False)
     cause = Adopted(Candidate(effect, names, extended, fit, 0.0, 0.0, 0.0), 0.01, ())
-    beside = _beside(weighing, Adoption((cause,), bare, fit), bare)
+    own = weighing.weigh(extended, fit)
+    beside = _beside(weighing, Adoption((cause,), bare, fit), own, bare)
     assert beside <= minus_log_likelihood(bare)
 
 
