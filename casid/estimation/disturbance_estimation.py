@@ -14,7 +14,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.missing_samples import unbroken
+from casid.estimation.missing_samples import FILLED_FROM, unbroken
 from casid.estimation.noise import NoiseModel, variances, whittle, with_rounding
 from casid.estimation.noise_response import Response
 from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of
@@ -39,8 +39,6 @@ WIDER = 3.0
 """Times as large are those of the logarithm of the width."""
 MOVES = 4
 """Of one such search on to where it gains at its edge, at most."""
-FILLED_FROM = 0.5
-"""Share of samples from which the missing ones are drawn, given the others and the noise found."""
 FILLINGS = 2
 """Such draws, each under the noise that the one before it gives."""
 

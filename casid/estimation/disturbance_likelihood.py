@@ -15,7 +15,7 @@ Minimised by Fisher scoring, in bands of frequencies.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +23,11 @@ from scipy.fft import rfft
 
 from casid.arrays import TINY, Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.missing_samples import FILLED_FROM, unbroken
 from casid.estimation.noise import NoiseModel, with_rounding
 from casid.estimation.noise_response import noise_response
 from casid.estimation.residual_spectra import band_edges
+from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 
 STEPS = 15
@@ -48,7 +50,8 @@ def likeliest(
 ) -> Array:
     """(n,) the variables that minimise (1), from `x` and the noise found there.
 
-    The same as given where samples are missing, or the likelihood does not rise.
+    Samples that are missing between others are drawn, given those and the noise. The same as given
+    where most are missing, or those at an end, or where the likelihood does not rise.
 
     Parameters
     ----------
@@ -56,9 +59,10 @@ def likeliest(
     noise : at `x`; its forces with spectra keep the family of theirs.
     known : channel -> standard deviation that is not estimated.
     """
-    if criterion.segments > 1 or any(not d.used.all() for d in criterion.data):
+    signals = _complete(criterion, x, noise)
+    if criterion.segments > 1 or signals is None:
         return x
-    search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}))
+    search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}), signals)
     z = np.concatenate([x, search.start])
     at = search.at(z)
     if not np.isfinite(at.value):
@@ -89,11 +93,33 @@ def errors(
     known: Mapping[str, float] | None = None,
 ) -> Array:
     """(n,) standard errors at a minimum of (1), from Fisher's information; as for `likeliest`."""
-    search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}))
+    signals = [None] * len(criterion.data)
+    search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}), signals)
     information = search.at(np.concatenate([x, search.start])).information
     size = np.sqrt(np.maximum(np.diag(information), TINY))
     inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
     return np.asarray((np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size)[: len(x)])
+
+
+def _complete(
+    criterion: SimulationError, x: Array, noise: NoiseModel
+) -> list[Signals | None] | None:
+    """The records with a draw of what they miss at `x`, None of one that is whole.
+
+    None where a record cannot be completed so.
+    """
+    rng = np.random.default_rng(0)
+    out: list[Signals | None] = []
+    for e, d in enumerate(criterion.data):
+        if d.used.all():
+            out.append(None)
+            continue
+        if unbroken(d.used) is not None or d.used.mean() < FILLED_FROM:
+            return None
+        at = criterion.simulated(x, e)
+        y = np.where(d.used, d.y, at.y + noise.filled(at.residual, e, rng))
+        out.append(replace(d, y=y, used=np.ones_like(d.used)))
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +135,13 @@ class _Likelihood:
     """(1) over the variables of a criterion, log variances and log shapes of spectra."""
 
     def __init__(
-        self, criterion: SimulationError, noise: NoiseModel, known: Mapping[str, float]
+        self,
+        criterion: SimulationError,
+        noise: NoiseModel,
+        known: Mapping[str, float],
+        signals: Sequence[Signals | None],
     ) -> None:
-        self.criterion, self.noise = criterion, noise
+        self.criterion, self.noise, self.signals = criterion, noise, signals
         self.sources = [n for n, sd in noise.source_sd.items() if sd > 0.0]
         self.free_outputs = [i for i, n in enumerate(criterion.outputs) if n not in known]
         self.free_sources = [n for n in self.sources if n not in known]
@@ -162,7 +192,7 @@ class _Likelihood:
     def _of_record(self, z: Array, e: int) -> _At:
         n, d = len(self.lower), self.criterion.data[e]
         x = z[:n]
-        simulated = self.criterion.simulated(x, e)
+        simulated = self.criterion.simulated(x, e, signals=self.signals[e])
         stack = np.concatenate([simulated.residual[:, :, None], -simulated.jacobian], axis=2)
         if not np.all(np.isfinite(stack)):
             return _At(np.inf, np.zeros(len(z)), np.zeros((len(z), len(z))))

@@ -65,6 +65,10 @@ class UnbrokenInnovations:
         return self._inside.log_determinant(len(range(samples)[self._rows]))
 
 
+FILLED_FROM = 0.5
+"""Share of samples from which the missing ones are drawn, given the others and the noise found."""
+
+
 def unbroken(used: BoolArray) -> slice | None:
     """The rows of `used` (N, n), where those that are there are complete and in one piece."""
     whole = used.all(axis=1)

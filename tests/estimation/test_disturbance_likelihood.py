@@ -61,7 +61,7 @@ def weighed(seed: int, height: float):
 def test_the_gradient_is_that_of_the_likelihood() -> None:
     """Central differences, in units of the root of the information: to 1e-3 of one."""
     _, _, fit, at = weighed(1, 3e-3)
-    search = _Likelihood(fit.criterion, at.full, {})
+    search = _Likelihood(fit.criterion, at.full, {}, [None])
     z = np.concatenate([fit.x, search.start])
     z[fit.criterion.names.index("B")] = 0.08
     here = search.at(z)
@@ -120,7 +120,29 @@ def test_without_a_sea_the_estimate_hardly_moves() -> None:
     assert np.all(np.abs(x - fit.x) < 3 * errors(fit.criterion, x, at.full))
 
 
-def test_a_record_that_misses_samples_stays_as_it_is() -> None:
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_few_missing_samples_move_the_estimate_by_little_of_its_error(seed: int) -> None:
+    """Of a process that is far slower than its samples their neighbours tell nearly all.
+
+    Each of the two searches ends within sqrt(2 0.02) = 0.2 standard errors of its minimum.
+    """
+    problem, weighing, fit, at = weighed(seed, 3e-3)
+    whole = likeliest(fit.criterion, fit.x, at.full)
+    error = errors(fit.criterion, whole, at.full)
+    holes = np.random.default_rng(seed).random(N) < 0.03
+    gapped = record(seed, 3e-3).mark_missing("gyro", holes)
+    weighing = Weighing([casid.Experiment(gapped)]).with_disturbances()
+    again = fit_model(problem.model, weighing.experiments, FitSettings(starts=1), throw=False)
+    at = weighing.estimated(again)
+    found = likeliest(again.criterion, again.x, at.full)
+    places = [fit.criterion.names.index(n) for n in ("B", "C", "K")]
+    assert np.all(np.abs(found - whole)[places] < 0.5 * error[places])
+
+
+def test_a_record_that_misses_most_samples_or_those_at_an_end_stays_as_it_is() -> None:
     _, _, fit, at = weighed(1, 0.0)
-    fit.criterion.data[0].used[5] = False
+    used = fit.criterion.data[0].used
+    used[:5] = False
+    assert likeliest(fit.criterion, fit.x, at.full) is fit.x
+    used[:] = np.arange(N)[:, None] % 3 == 0
     assert likeliest(fit.criterion, fit.x, at.full) is fit.x
