@@ -215,8 +215,8 @@ def _columns(
         if channel.unit and not any(same_quantity(channel.unit, unit) for unit in units):
             raise DataError(
                 f"{file.path.name}: column {channel.column!r} [{channel.unit}] is no "
-                f"{name} [{' or '.join(units)}]; map another column, or write its unit behind it, "
-                f"as in {name}={channel.column}:{units[0]}"
+                f"{name} [{' or '.join(units)}]; map another column, or where the file's unit is "
+                f"wrong, the unit that its numbers are in, as in {name}={channel.column}:UNIT"
             )
     free = [role for name, role in roles.items() if name not in chosen]
     rest = [c for c in file.channels if c not in chosen.values()]

@@ -185,7 +185,9 @@ def test_stamps_rounded_to_single_precision_are_uniform():
      ("x_min", None), ("y", None), ("x []", "1"), ("u_ms", None), ("T [degC]", "degC"),
      ("u [Volt]", "V"), ("v (Meters per Second)", "m/s"), ("M in Newton metre", "N m"),
      ("p [Kilopascal]", "kPa"), ("T [Degree Celsius]", "degC"), ("m [Pound]", None),
-     ("x_Second", None), ("x_Bar", None)],
+     ("x_Second", None), ("x_Bar", None), ("h (in cm)", "cm"), ("h(t) (in cm)", "cm"),
+     ("h(t) [mm]", "mm"), ("t (in sec)", "sec"), ("h (in)", "in"), ("h (in in)", "in"),
+     ("P [in W (mean)]", None), ("M (in lbf)", None), ("phi [deg] (filtered)", "deg")],
 )  # fmt: skip
 def test_the_ending_of_a_name_gives_the_unit_where_it_has_one_reading(column, unit):
     found = header_unit(column)

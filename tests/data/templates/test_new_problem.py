@@ -107,6 +107,14 @@ def test_the_user_names_what_is_guessed_wrong(tmp_path: Path) -> None:
     assert '"position": "b [m]:mm"' in found.text
 
 
+def test_a_unit_behind_the_word_in_is_kept(tmp_path: Path) -> None:
+    """14 cm of water were 14 inch centimetres, and 14 m by the advice of the refusal."""
+    t, x = waves(1)
+    data = written_for(tmp_path, "t (in sec),h(t) (in cm)", t, 14 + x)
+    found = casid.new_problem(data, "tank", mapping={"level": "h(t) (in cm)"})
+    assert found.channels["level"] == "'h(t) (in cm)' [cm]"
+
+
 def test_a_signal_of_steps_is_taken_as_held(tmp_path: Path) -> None:
     t, x = waves(1)
     stepped = np.repeat(np.random.default_rng(1).standard_normal(20), 10)
@@ -128,7 +136,7 @@ def test_a_signal_of_steps_is_taken_as_held(tmp_path: Path) -> None:
         ),
         (
             {"template": "mass-spring-damper", "mapping": {"force": "x [m]"}},
-            r"'x \[m\]' \[m\] is no force \[N\]",
+            r"'x \[m\]' \[m\] is no force \[N\].* its numbers are in, as in force=x \[m\]:UNIT",
         ),
         (
             {"template": "mass-spring-damper", "known": {"m": 2.0}},
