@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import FloatArray
-from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.clock_numbers import days_beside, of_clock_numbers
+from casid.data.reading.columns import CLOCK_FORMATS, ColumnSpec
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.layout import NO_VALUE
 from casid.data.reading.number_marks import Evidence, decimal_mark, plain_number
@@ -195,6 +196,15 @@ def times_of(
     large = of_large_numbers(exact, clock.unit, clock.column, table.origin)
     if large is not None:
         return _noted(large, table, found)
+    days = days_beside(table, frame, clock.column) if clock.unit in {None, *CLOCK_FORMATS} else None
+    clocked = of_clock_numbers(numbers, clock.unit, clock.column, days)
+    if clocked is not None:
+        return _noted(clocked, table, found)
+    if clock.unit in CLOCK_FORMATS:
+        text = f"{table.path.name}: column {clock.column!r} holds no times written {clock.unit}."
+        remedy = "Give the unit that its numbers are in, as in --map 't=COLUMN:s'."
+        found.faults.append(Fault("time", text, remedy, clock.column))
+        return None
     if pd.api.types.is_bool_dtype(column.dtype) or clock.unit in {"d", "day", "days"}:
         return numbers * DAY
     return to_si(numbers, clock.unit or "s", "s")
