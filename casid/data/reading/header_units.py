@@ -32,6 +32,8 @@ _WRITTEN = {
     "millisekunden": "ms",
     "milliseconds": "ms",
     "microseconds": "us",
+    "millis": "ms",
+    "micros": "us",
     "minuten": "min",
     "mins": "min",
     "std": "h",

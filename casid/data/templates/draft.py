@@ -211,7 +211,10 @@ class Draft:
                 beside[label] = channel
         lines = ["problem = casid.Problem(", f"    {quoted(name)},", "    m,"]
         if self.file.time is not None:
-            lines.append(f"    time={quoted(self.file.time)},")
+            unit = f":{self.file.time_unit}" if self.file.time_unit else ""
+            if self.file.time_doubt:
+                lines.append(f"    {CHECK}{self.file.time_doubt}")
+            lines.append(f"    time={quoted(self.file.time + unit)},")
         if self.file.form is not None and self.file.form.given:
             lines.append(f"    form={self.file.form.code},")
         lines.append("    # signal of the model: column of the file, and the unit it is written in")

@@ -19,6 +19,7 @@ from casid.data.reading.file_format import FileFormat
 from casid.data.reading.header_units import header_unit, likely_reading
 from casid.data.reading.sources import limit_text, source_of
 from casid.data.reading.survey import ReadingOptions, survey
+from casid.data.reading.unit_of_time import is_open
 from casid.data.record import Record
 from casid.errors import DataError, nearest
 from casid.model.units import unit_aliases
@@ -80,6 +81,8 @@ class FileChannels(NamedTuple):
     form : how the file is written, where it leaves it open.
     resampled : sample time [s] where the clock is uneven and the record had to be interpolated.
     spoilt : columns left out that hold numbers, and text in some cells.
+    time_unit : of the time stamps, where it is given.
+    time_doubt : what was assumed of a clock whose unit the file does not name.
     """
 
     path: Path
@@ -92,6 +95,8 @@ class FileChannels(NamedTuple):
     resampled: float | None = None
     form: FileFormat | None = None
     spoilt: tuple[str, ...] = ()
+    time_unit: str | None = None
+    time_doubt: str = ""
 
     @property
     def source(self) -> str:
@@ -159,7 +164,9 @@ def file_channels(
     numeric = {c.name: c for c in columns.columns if c.kind == "numeric"}
     units_of = {n: c.unit or likely_reading(c.written) for n, c in numeric.items()} | given
     specs = {column: ColumnSpec(column, unit or "1") for column, unit in units_of.items()}
-    options = ReadingOptions(columns.clock, window, mark_missing=True, form=form)
+    given_unit = time.unit if isinstance(time, ColumnSpec) and columns.clock else None
+    clock = (columns.clock, given_unit) if columns.clock and given_unit else columns.clock
+    options = ReadingOptions(clock, window, mark_missing=True, form=form)
     record, resampled = _record(path, specs, columns, options)
     spoilt = {c.name: c.remarks[0] for c in columns.columns if c.kind == "text" and c.remarks}
     left_out = {
@@ -168,19 +175,12 @@ def file_channels(
         if c.name not in units_of
     }
     left_out.pop(columns.clock or "", None)
-    channels: list[FileChannel] = []
-    for column, unit in units_of.items():
-        if record.is_missing(column).all():
-            left_out[column] = "it holds no values in this window"
-            continue
-        name = free_name(identifier(stem_of(column)), {c.name for c in channels})
-        known = unit_aliases().get(unit, unit) if unit is not None else None
-        doubt = "" if column in given else _doubt(numeric[column])
-        channels.append(FileChannel(name, column, known, record.filled(column), doubt))
+    doubts = {c: "" if c in given else _doubt(numeric[c]) for c in units_of}
+    channels = _channels(record, units_of, doubts, left_out)
     return FileChannels(
         path=path,
         window=window,
-        channels=tuple(channels),
+        channels=channels,
         time=columns.clock,
         Ts=record.Ts,
         N=record.N,
@@ -188,7 +188,35 @@ def file_channels(
         resampled=resampled,
         form=form,
         spoilt=tuple(spoilt),
+        time_unit=given_unit,
+        time_doubt=_time_doubt(columns),
     )
+
+
+def _channels(
+    record: Record,
+    units_of: Mapping[str, str | None],
+    doubts: Mapping[str, str],
+    left_out: dict[str, str],
+) -> tuple[FileChannel, ...]:
+    """The channels that have values; the others are added to `left_out`."""
+    channels: list[FileChannel] = []
+    for column, unit in units_of.items():
+        if record.is_missing(column).all():
+            left_out[column] = "it holds no values in this window"
+            continue
+        name = free_name(identifier(stem_of(column)), {c.name for c in channels})
+        known = unit_aliases().get(unit, unit) if unit is not None else None
+        channels.append(FileChannel(name, column, known, record.filled(column), doubts[column]))
+    return tuple(channels)
+
+
+def _time_doubt(columns: Survey) -> str:
+    """What was assumed of the unit of time, and how to write another one behind the column."""
+    said = [*columns.notes, *(fault.text for fault in columns.doubts)]
+    if not any(is_open(text) for text in said):
+        return ""
+    return "the file names no unit of time: read in seconds; COLUMN:h is hours, :ms milliseconds"
 
 
 def _doubt(column: ColumnSurvey) -> str:

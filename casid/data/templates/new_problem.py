@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from casid.data.files import write_text
-from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.columns import ColumnSpec, clock_and_unit
 from casid.data.reading.file_format import FileFormat
 from casid.data.templates.dc_motor import DC_MOTOR
 from casid.data.templates.draft import CHECK, WIDTH, Draft, quoted
@@ -168,7 +168,7 @@ def _draft(
     form: FileFormat | None,
 ) -> Draft:
     """The file looked through, and its columns in the roles of the template."""
-    names = {name: _column_and_unit(text) for name, text in mapping.items()}
+    names = {name: clock_and_unit(text) for name, text in mapping.items()}
     clock = names.pop(_CLOCK, None)
     time = None if clock is None else ColumnSpec(clock[0], clock[1], "s")
     file = file_channels(data, time, [(c, unit) for c, unit in names.values() if unit], form)
@@ -189,12 +189,6 @@ def _refuse_path(path: Path | None, *, force: bool) -> None:
         raise DataError(f"{path}: a problem file is Python; give it a name that ends with .py")
     if path.exists() and not force:
         raise DataError(f"{path} exists; name another file with --out, or add --force")
-
-
-def _column_and_unit(text: str) -> tuple[str, str | None]:
-    """`column` or `column:unit`."""
-    column, colon, unit = text.rpartition(":")
-    return (column.strip(), unit.strip()) if colon else (unit.strip(), None)
 
 
 def _columns(
