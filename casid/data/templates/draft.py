@@ -115,8 +115,10 @@ class Draft:
     def input(self, role: str, symbol: str, what: str) -> str:
         """The declaration of a recorded input."""
         channel = self.columns[role]
-        hold = "zoh" if channel.is_held or is_command(channel) else "foh"
-        call = f"{symbol} = m.input({quoted(role)}, {quoted(self.unit(role))}, hold={quoted(hold)})"
+        is_held = channel.is_held or channel.is_switched or is_command(channel)
+        known = ", known=True" if channel.is_switched else ""  # no sensor, no noise
+        unit, hold = quoted(self.unit(role)), quoted("zoh" if is_held else "foh")
+        call = f"{symbol} = m.input({quoted(role)}, {unit}, hold={hold}{known})"
         return _line(call, what, self._doubt(role))
 
     def output(self, role: str, expression: str) -> str:

@@ -215,7 +215,8 @@ def _columns(
     free = [role for name, role in roles.items() if name not in chosen]
     rest = [c for c in file.channels if c not in chosen.values()]
     found = {**chosen, **assign(free, rest)}
-    return {name: found[name] for name in roles if name in found}
+    needless = {r.name for r in free if r.instead_of in found}
+    return {name: found[name] for name in roles if name in found and name not in needless}
 
 
 def _written(
