@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+_AS_STAMPS = (
+    "Correct the cells: time stamps are numbers, or dates such as 2025-01-31 12:00:00; or leave "
+    "the column out and give the sample time, --sample-time 0.01 (Ts=0.01)."
+)
 _NO_VALUE_NUMBERS = frozenset(
     [32767.0, -32768.0, 65535.0, 2147483647.0, -2147483648.0, 1e30, -1e30]
 )
@@ -185,6 +189,8 @@ def times_of(
         return _noted(stamps, table, found)
     numbers = numbers_of(table, frame, "t", clock, found)
     if numbers is None:
+        if found.faults[-1].kind == "text":  # what is no value for a channel is a time stamp here
+            found.faults[-1] = replace(found.faults[-1], remedy=_AS_STAMPS)
         return None
     if not np.isfinite(numbers).all():
         rows = np.arange(numbers.size)

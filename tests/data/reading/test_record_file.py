@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
@@ -142,6 +143,33 @@ def test_dates_become_seconds_since_the_first(csv):
     path = csv(text)
     assert read_record(path).t.tolist() == [0.0, 0.5, 1.0]
     assert [p["t"].tolist() for p in iter_chunks(path, size=2)] == [[0.0, 0.5], [1.0]]
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["%a %b %e %H:%M:%S %Y", "%a %b %d %H:%M:%S CEST %Y", "%a, %d %b %Y %H:%M:%S +0200",
+     "%b %d %H:%M:%S %Y", "%b %d, %Y %H:%M:%S", "%A, %d. %B %Y %H:%M:%S",
+     "%A, %B %d, %Y %I:%M:%S %p"],
+)  # fmt: skip
+@pytest.mark.parametrize("name", ["Date", "logged"])
+def test_dates_in_words_are_read(tmp_path, form, name):
+    moments = [datetime(2019, 4, 3, 21, 46, 7) + timedelta(seconds=90 * k) for k in range(15)]
+    path = tmp_path / "run.csv"
+    rows = [f"{moment.strftime(form)};{k % 4}" for k, moment in enumerate(moments)]
+    path.write_text("\n".join([f"{name};x", *rows]) + "\n")
+    record = read_record(path)
+    assert (record.Ts, record.N) == (90, 15)
+    assert any("first 03 April 2019" in line for line in record.provenance)
+
+
+def test_time_stamps_that_cannot_be_read_are_not_to_be_declared_missing(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time;x\n" + "".join(f"morning {k};{k}\n" for k in range(5)))
+    with pytest.raises(
+        DataError, match=r"'morning 0'. Correct the cells: time stamps are"
+    ) as error:
+        read_record(path)
+    assert "--missing" not in str(error.value)
 
 
 def test_a_file_without_time_stamps_needs_a_sample_time(csv):
