@@ -169,11 +169,16 @@ def channel_quality(
     return numbers, findings
 
 
+def _behind(unit: str) -> str:
+    """A unit as it stands behind a number: 1 is none."""
+    return "" if unit == "1" else f" {unit}"
+
+
 def _constant(name: str, value: float, unit: str) -> Finding:
     return Finding(
         "warning",
         name,
-        f"{_CONSTANT} {value + 0.0:.6g} {unit}.",
+        f"{_CONSTANT} {value + 0.0:.6g}{_behind(unit)}.",
         "It excites nothing: check the sensor or the mapping, or leave it out.",
     )
 
@@ -198,7 +203,7 @@ def _equal_samples(
                 name,
                 f"{plateau} equal samples at the "
                 f"{'maximum' if value == x[~mask].max() else 'minimum'} "
-                f"{float(from_si(value, shown)) + 0.0:.6g} {shown}, first at "
+                f"{float(from_si(value, shown)) + 0.0:.6g}{_behind(shown)}, first at "
                 f"t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
                 "Check the sensor's range; mark the plateau missing or cut it off with a window.",
             )
@@ -284,9 +289,10 @@ def _coarse(name: str, shown: str, step: float, span: float) -> Finding:
     return Finding(
         "warning",
         name,
-        f"coarsely quantised: steps of {float(difference_from_si(step, shown)):.4g} {shown}, "
+        f"coarsely quantised: steps of {float(difference_from_si(step, shown)):.4g}"
+        f"{_behind(shown)}, "
         f"{round(span / step)} of them in the range.",
-        f"Count with noise of {noise:.3g} {shown} (step/sqrt 12), or log finer.",
+        f"Count with noise of {noise:.3g}{_behind(shown)} (step/sqrt 12), or log finer.",
     )
 
 
@@ -330,7 +336,8 @@ def _trend(record: Record, name: str, shown: str) -> tuple[float, list[Finding]]
         Finding(
             "note",
             name,
-            f"a trend: {float(difference_from_si(drift, shown)):.4g} {shown} over the record, "
+            f"a trend: {float(difference_from_si(drift, shown)):.4g}{_behind(shown)} over the "
+            f"record, "
             f"{times:.3g} times the scatter about it.",
             "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.columns import ColumnSpec, clock_and_unit
 from casid.data.record import Record
 from casid.data.record_files import write_record
 from casid.errors import DataError
@@ -34,7 +34,7 @@ def write_examples(problem: Problem, path: str | Path, *, force: bool = False) -
     """
     path = Path(path)
     experiments = _raw_examples(problem)
-    time = problem.time if isinstance(problem.time, str) else "t"
+    time = clock_and_unit(problem.time)[0] if isinstance(problem.time, str) else "t"
     if isinstance(problem.time, ColumnSpec):
         time = problem.time.column
     names = _file_names(path, experiments)

@@ -52,7 +52,7 @@ class Problem(Viewed):
         computed from others (`Derived`). Their sources are read as channels are, each
         from the column of its own name or the one in `channels`; a column mapped to the derived
         channel itself goes before.
-    time : the time column; found by name where not given.
+    time : the time column, perhaps with its unit (`Time:h`); found by name where not given.
     load_cases : name -> values of parameters known in that case.
     noise : channel -> standard deviation of its white noise, where known, in the channel's unit;
         that of a derived channel's sources is propagated and noted in the record's provenance.

@@ -47,6 +47,7 @@ class CheckReport(Presented):
     clock : how even the time stamps are; None without any.
     channels : range, unit, resolution and missing samples of each.
     findings : what speaks against using it, each with a severity, a place and a remedy.
+    t_last : the last stamp of the file [s], or the last sample where it was resampled.
     """
 
     name: str
@@ -58,6 +59,7 @@ class CheckReport(Presented):
     channels: tuple[ChannelCheck, ...]
     findings: tuple[Finding, ...]
     provenance: tuple[str, ...] = ()
+    t_last: float | None = None
 
     @property
     def is_usable(self) -> bool:
@@ -155,6 +157,7 @@ def check(
         channels,
         tuple(sorted(findings, key=lambda f: _RANK[f.severity])),
         record.provenance,
+        float(record.t[-1] if times is None or resample is not None else times[-1]),
     )
 
 

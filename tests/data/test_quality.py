@@ -192,12 +192,33 @@ def test_steps_of_an_input_are_no_spikes():
     assert check(record(telegraph)).channels[0].spikes == 0
 
 
+def test_the_unit_1_is_left_out_of_sentences():
+    """Not "steps of 0.1 1", "a trend: 30 1 over the record"."""
+    coarse = record(0.1 * np.round(10 * (smooth() + np.linspace(0, 5, N))))
+    said = [f"{f.text} {f.remedy}" for f in check(coarse).findings]
+    assert any("steps of 0.1, " in text for text in said)
+    assert any(re.search(r"a trend: [45]\S* over the record", text) for text in said)
+    assert not any(re.search(r"\d 1\b", text) for text in said)
+
+
+def test_the_last_stamp_is_that_of_the_file_and_of_a_refused_window(tmp_path):
+    """The last sample of the even clock that stands for uneven stamps is another one."""
+    steps = 0.001 * np.random.default_rng(3).integers(3, 9, 300)
+    t = 5.3057 + np.concatenate([[0.0], np.cumsum(steps)])
+    path = tmp_path / "run.csv"
+    rows = [f"{a:.6f},{np.sin(3 * a):.5f}" for a in t]
+    path.write_text("\n".join(["t [s],x", *rows]) + "\n")
+    assert f"from t0 = 5.3057 s, the last at {t[-1]:.9g} s" in str(check(path))
+    (refused,) = check(path, window=(0.0, 100.0)).findings
+    assert f"runs from 5.3057 to {t[-1]:.9g} s" in refused.text
+
+
 def test_a_stuck_sensor_a_constant_and_a_copy_are_named():
     y = smooth()
     y[1000:1100] = y[1000]
     report = check(record(y, u=np.full(N, 2.5), copy=y))
     assert any("100 equal samples in a row from t = 10 s" in t for t in texts(report))
-    assert texts(report, "u") == ["constant at 2.5 1."]
+    assert texts(report, "u") == ["constant at 2.5."]
     assert "holds the same samples as y." in texts(report, "copy")
     assert report.channels[0].longest_run == 100
     assert report.is_usable

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import FloatArray
-from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.clock_numbers import days_beside, of_clock_numbers
+from casid.data.reading.columns import CLOCK_FORMATS, ColumnSpec
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.layout import NO_VALUE
 from casid.data.reading.number_marks import Evidence, decimal_mark, plain_number
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+_AS_STAMPS = (
+    "Correct the cells: time stamps are numbers, or dates such as 2025-01-31 12:00:00; or leave "
+    "the column out and give the sample time, --sample-time 0.01 (Ts=0.01)."
+)
 _NO_VALUE_NUMBERS = frozenset(
     [32767.0, -32768.0, 65535.0, 2147483647.0, -2147483648.0, 1e30, -1e30]
 )
@@ -184,6 +189,8 @@ def times_of(
         return _noted(stamps, table, found)
     numbers = numbers_of(table, frame, "t", clock, found)
     if numbers is None:
+        if found.faults[-1].kind == "text":  # what is no value for a channel is a time stamp here
+            found.faults[-1] = replace(found.faults[-1], remedy=_AS_STAMPS)
         return None
     if not np.isfinite(numbers).all():
         rows = np.arange(numbers.size)
@@ -195,6 +202,15 @@ def times_of(
     large = of_large_numbers(exact, clock.unit, clock.column, table.origin)
     if large is not None:
         return _noted(large, table, found)
+    days = days_beside(table, frame, clock.column) if clock.unit in {None, *CLOCK_FORMATS} else None
+    clocked = of_clock_numbers(numbers, clock.unit, clock.column, days)
+    if clocked is not None:
+        return _noted(clocked, table, found)
+    if clock.unit in CLOCK_FORMATS:
+        text = f"{table.path.name}: column {clock.column!r} holds no times written {clock.unit}."
+        remedy = "Give the unit that its numbers are in, as in --map 't=COLUMN:s'."
+        found.faults.append(Fault("time", text, remedy, clock.column))
+        return None
     if pd.api.types.is_bool_dtype(column.dtype) or clock.unit in {"d", "day", "days"}:
         return numbers * DAY
     return to_si(numbers, clock.unit or "s", "s")

@@ -154,7 +154,7 @@ def window_rows(
     start, stop = window
     low, high = float(times.min()), float(times.max())
     slack = (high - low) / max(times.size - 1, 1)
-    span = f"{name} runs from {low:g} to {high:g} s of its own clock"
+    span = f"{name} runs from {low:.9g} to {high:.9g} s of its own clock"
     label = f"window {limit_text(start)}:{limit_text(stop)} s"
     problem = remedy = ""
     tiny = 1e-6 * slack

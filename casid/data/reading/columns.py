@@ -30,8 +30,14 @@ _DATE_NAMES = frozenset("date datum day tag fecha data jour dato".split())
 _UNIT_NAMES = {  # a clock called by its unit alone
     "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms", "millisekunden": "ms",
     "us": "us", "µs": "us", "μs": "us", "usec": "us", "micros": "us", "microseconds": "us",
-    "sec": "s", "secs": "s", "sekunden": "s",
+    "sec": "s", "secs": "s", "sekunden": "s", "millis()": "ms", "micros()": "us",
+    "seconds": "s", "minutes": "min", "hours": "h", "minuten": "min", "stunden": "h",
 }  # fmt: skip
+_UNIT_ENDINGS = {  # behind a name of time: t_ms, time_hours, Time h
+    "s": "s", "ms": "ms", "us": "us", "ns": "ns", "min": "min", "mins": "min", "h": "h", "hr": "h",
+    "hrs": "h", "d": "d", "days": "d",
+    "nanos": "ns", "nsec": "ns", "nanoseconds": "ns",
+} | {name: unit for name, unit in _UNIT_NAMES.items() if name.isalpha()}  # fmt: skip
 _CLOCK_NAMES = frozenset("time zeit uhrzeit clock heure hora tid tijd".split())
 _ABSCISSAS = frozenset(["x", "x axis", "x values", "abscissa"])
 CLOCK_FORMATS = ("hh:mm", "mm:ss", "hh:mm:ss")
@@ -184,9 +190,24 @@ def _read_unit(table: Table, name: str, spec: ColumnSpec) -> tuple[str, str]:
 # ---------------------------------------------------------------------- the clock
 
 
+def clock_and_unit(text: str) -> tuple[str, str | None]:
+    """`column`, `column:unit` or `column:hh:mm`, taken apart."""
+    for written in sorted(CLOCK_FORMATS, key=len, reverse=True):
+        if text.endswith(f":{written}"):
+            return text.removesuffix(f":{written}").strip(), written
+    column, colon, unit = text.rpartition(":")
+    return (column.strip(), unit.strip()) if colon else (text.strip(), None)
+
+
+def _clock_spec(table: Table, time: ColumnSpec | str | Sequence[str | None]) -> ColumnSpec:
+    if isinstance(time, str) and time not in table.columns:
+        return ColumnSpec(*clock_and_unit(time))
+    return _spec(time)
+
+
 def _time_column(table: Table, time: Time) -> ColumnSpec | None:
     if time is not None:
-        spec = as_headed(table.columns, {"t": _spec(time)})["t"]
+        spec = as_headed(table.columns, {"t": _clock_spec(table, time)})["t"]
         table.require(spec.column, "t")
         pair = _date_and_clock(table)
         if pair is not None and pair[1] == spec.column:
@@ -306,11 +327,13 @@ def _is_time(unit: str) -> bool:
 
 
 def _time_ending(column: str) -> tuple[str, str | None]:
-    """A name and the unit of time at its end: `t_ms`, `TimeUS`, `timeMs`."""
-    stem, underscore, ending = column.rpartition("_")
-    if underscore and ending in {"s", "sec", "ms", "us", "ns", "min", "h", "d"}:
-        return stem, ending
-    capital = re.fullmatch(r"(.*[a-z])([MUN]?[Ss])", column)
+    """A name and the unit of time at its end: `t_ms`, `Time h`, `TimeUS`, `timeMillis`."""
+    apart = re.fullmatch(r"(.*\w)(?:_|,? )(\w+)", column)
+    if apart and apart[2].casefold() in _UNIT_ENDINGS:
+        return apart[1], _UNIT_ENDINGS[apart[2].casefold()]
+    capital = re.fullmatch(
+        r"(.*?[a-z])([MUN]?[Ss]|Millis|Micros|Nanos|Seconds|Minutes|Hours)", column
+    )
     if capital and capital[2] != "s":
-        return capital[1], capital[2].casefold()
+        return capital[1], _UNIT_ENDINGS[capital[2].casefold()]
     return column, None

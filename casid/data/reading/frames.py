@@ -119,7 +119,7 @@ def record_of_signals(
         raise DataError(f"{name}: no signals. Give {{'phi': (times, values)}}.")
     frame = pd.concat(columns, axis=1, sort=True)
     frame.index.name = next(n for n in ("t", "time", "timestamp") if n not in signals)
-    options = ReadingOptions(name=name, takes_gaps=True)
+    options = ReadingOptions((frame.index.name, "s"), name=name, takes_gaps=True)
     return record_of_frame(frame, None, units, options)
 
 

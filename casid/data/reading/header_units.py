@@ -1,4 +1,4 @@
-"""Units as headers write them: `phi [deg]`, `u (V)`, `P in kW`, `i/mA`, `t / s`, `phi_deg`."""
+"""Units as headers write them: `phi [deg]`, `h (in cm)`, `P in kW`, `i/mA`, `t / s`, `phi_deg`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from casid.model.unit_names import ALIASES, NAMES
 from casid.model.units import ambiguous_units, parse_unit, same_dimension
 
 _BRACKET = re.compile(r"(.*?)\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*([^>]*?)\s*>)\s*(.*)")
+_LAST = re.compile(r"(.*[\])>])\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*([^>]*?)\s*>)")
+_IN_WORD = re.compile(r"in\s+(\S.*)", re.IGNORECASE)  # of "(in cm)"
 _IN = re.compile(r"(.+?)[\s_,]+in[\s_]+(\S.*)", re.IGNORECASE)
 _SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")
 _SPACE = re.compile(r"(.*\S)[\s,]+(\S+)")
@@ -30,6 +32,8 @@ _WRITTEN = {
     "millisekunden": "ms",
     "milliseconds": "ms",
     "microseconds": "us",
+    "millis": "ms",
+    "micros": "us",
     "minuten": "min",
     "mins": "min",
     "std": "h",
@@ -86,6 +90,8 @@ _READINGS = {
     "lb": ("lbm", "lbf"),
     "lbs": ("lbm", "lbf"),
     "grad": ("deg", "degC"),
+    "in lb": ("in lbf", "lbm", "lbf"),
+    "in lbf": ("in lbf", "lbf"),
 }
 _LIKELY = {"1/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "/min": "rpm"}
 _TWO_FOLD = {
@@ -94,6 +100,8 @@ _TWO_FOLD = {
     "min-1": "rpm (revolutions a minute) or rad/min",
     "min^-1": "rpm (revolutions a minute) or rad/min",
     "/min": "rpm (revolutions a minute) or rad/min",
+    "in lb": "in lbf (inch times pound-force), lbm or lbf",
+    "in lbf": "in lbf (inch times pound-force) or lbf",
 }
 
 
@@ -119,6 +127,11 @@ class HeaderUnit(NamedTuple):
 
 def header_unit(column: str) -> HeaderUnit | None:
     """The unit that a column's name ends with; None where it has none."""
+    last = _LAST.fullmatch(column)  # H(t) (cm)
+    if last:
+        found = written_unit(next(t for t in last.groups()[1:4] if t is not None), last[1])
+        if found.unit is not None or found.why:
+            return found
     bracket = _BRACKET.fullmatch(column)
     if bracket and bracket[1] and (bracket[2] is not None or not bracket[5]):
         text = next(t for t in bracket.groups()[1:4] if t is not None)
@@ -156,6 +169,9 @@ def written_unit(text: str, stem: str = "") -> HeaderUnit:
     """A unit where one is written: in brackets, or in a row of units."""
     text = text.strip()
     text = re.sub(r"^[\[(<]\s*(.*?)\s*[\])>]$", r"\1", text) if len(text) > 1 else text
+    word = _IN_WORD.fullmatch(text) if text.casefold() not in _TWO_FOLD else None
+    if word and (_reads(word[1]) is not None or _readings_of(word[1])):  # no inch times cm
+        text = word[1]
     unit = _reads(text)
     if unit is not None:
         return HeaderUnit(text, unit, stem, True)

@@ -20,10 +20,15 @@ NO_VALUE = frozenset(
 )
 """Cells, in small letters, that stand for no value."""
 
+WEEKDAY = r"(?:(?:mo|tu|we|th|fr|sa|su|di|mi|do|so)[^\W\d]{0,8}\.?,?\s+)"
+MONTH = r"(?:jan|feb|m[aä]r|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz])[^\W\d]{0,6}\.?"
+"""What a date in words begins with: Wed Apr  3 21:46:07 2019, Wed, 03 Apr 2019 21:46:07 +0200."""
 _DATE = re.compile(
     r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}\.?([ T,].*)?"
     r"|\d{1,2}(?:[-. /]|\. )[^\W\d]{3,9}\.?[-. /]\d{2,4}.*"
-    r"|\d{1,3}:\d{2}(:\d{2})?([.,]\d+)?(\s*[ap]\.?m\.?)?|\d{8}T\d{4,6}.*",
+    r"|\d{1,3}:\d{2}(:\d{2})?([.,]\d+)?(\s*[ap]\.?m\.?)?|\d{8}T\d{4,6}.*"
+    rf"|{WEEKDAY}?{MONTH}\s+\d{{1,2}},?\s.*(?:\d{{4}}|\d:\d{{2}}).*"
+    rf"|{WEEKDAY}\d{{1,2}}\.?\s+{MONTH}\s+\d{{4}}.*",
     re.IGNORECASE,
 )
 

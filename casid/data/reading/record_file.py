@@ -40,8 +40,9 @@ def read_record(
         it every column of numbers is read under its own name, its unit from the file.
     time : column of the time stamps, optional
         Found by its name (`t`, `time`, `t_ms`, `t / s`, `Zeit [min]` ...), or as the one column of
-        dates, where not given. Numbers with a unit of time, dates, times of day, seconds since
-        1970, serial days of Excel or MATLAB. A file without one needs `Ts`.
+        dates, where not given. Numbers with a unit of time (`Time:h`; else seconds), dates, times
+        of day (930 is half past nine, too), seconds since 1970, serial days of Excel or MATLAB. A
+        file without one needs `Ts`.
     window : (start, stop), optional
         Seconds of the record's own clock; ends may be infinite. Only samples inside are judged.
     name : str, optional

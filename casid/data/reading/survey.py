@@ -37,6 +37,7 @@ from casid.data.reading.resampling import resampled
 from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_rows
 from casid.data.reading.sources import limit_text, sha256, source_of
 from casid.data.reading.tables import Table
+from casid.data.reading.unit_of_time import assumed_seconds
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
 from casid.model.quantities import count_text
@@ -214,8 +215,15 @@ def _read_clock(opened: _Opened, found: Survey, steps: list[str], *, is_chosen: 
         steps.append(f"no time column; Ts = {step:g} s given, clock starts at 0")
         return
     found.times, found.clock = times_of(table, frame, clock, found), clock.column
-    unit = clock.unit or ("" if found.notes[len(table.remarks) :] else "s, the file names no unit")
+    is_plain = not (clock.unit or found.notes[len(table.remarks) :])
+    unit = "s, the file names no unit" if is_plain else clock.unit or ""
     steps.append(f"time column {_with_unit(clock.column, unit)}")
+    if is_plain and found.times is not None and found.times.size > 1:
+        assumed = assumed_seconds(clock.column, found.times)
+        if isinstance(assumed, str):
+            found.notes.append(assumed)
+        else:
+            found.doubts.append(assumed)
     if is_chosen or found.times is None:
         return
     _compare_clocks(table, frame, clock, found.times, found)

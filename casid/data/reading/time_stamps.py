@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from casid.arrays import FloatArray
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.file_format import ORDERS, FileFormat
+from casid.data.reading.layout import MONTH, WEEKDAY
 from casid.errors import DataError
 from casid.model.quantities import count_text
 
@@ -60,7 +61,7 @@ def of_dates(
     """
     import pandas as pd
 
-    text = column.str.strip()
+    text = _day_first(column.str.strip())
     if _ISO.fullmatch(text.iloc[0]):
         stamps = pd.to_datetime(text, errors="coerce", format="ISO8601", utc=True)
         if stamps.notna().all():
@@ -79,6 +80,32 @@ def of_dates(
         sign = np.where(digits.str[0] == "-", -1, 1)
         stamps = stamps - pd.to_timedelta(sign * minutes, unit="m")
     return _since_first(stamps, form, where, said, origin, is_local=not zone.notna().any())
+
+
+_WORDS = re.compile(rf"{WEEKDAY}?({MONTH})\s+(\d{{1,2}}),?\s+(.*)", re.IGNORECASE)
+_YEAR_LAST = re.compile(r"(\S+(?:\s+[AaPp][Mm])?)\s+(?:([A-Z]{2,5})\s+)?(\d{4})")
+
+
+def _day_first(text: pd.Series[str]) -> pd.Series[str]:
+    """Dates in words as `3 Apr 2019 21:46:07`: those of C, of `date` and of e-mails.
+
+    A zone in letters other than UTC and GMT is that of the clock, whose jumps are sought later.
+    """
+    if not re.match(rf"(?:{WEEKDAY}|{MONTH})", text.iloc[0], re.IGNORECASE):
+        return text
+    return text.map(_date_in_words)
+
+
+def _date_in_words(cell: str) -> str:
+    words = _WORDS.fullmatch(cell)
+    if words is None:
+        return re.sub(rf"^{WEEKDAY}", "", cell, flags=re.IGNORECASE)
+    month, day, rest = words.groups()
+    last = _YEAR_LAST.fullmatch(rest)
+    if last is None:
+        return f"{day} {month} {rest}"
+    zone = f" {last[2]}" if last[2] in {"UTC", "GMT"} else ""
+    return f"{day} {month} {last[3]} {last[1]}{zone}"
 
 
 def of_stamps(

@@ -115,8 +115,10 @@ class Draft:
     def input(self, role: str, symbol: str, what: str) -> str:
         """The declaration of a recorded input."""
         channel = self.columns[role]
-        hold = "zoh" if channel.is_held or is_command(channel) else "foh"
-        call = f"{symbol} = m.input({quoted(role)}, {quoted(self.unit(role))}, hold={quoted(hold)})"
+        is_held = channel.is_held or channel.is_switched or is_command(channel)
+        known = ", known=True" if channel.is_switched else ""  # no sensor, no noise
+        unit, hold = quoted(self.unit(role)), quoted("zoh" if is_held else "foh")
+        call = f"{symbol} = m.input({quoted(role)}, {unit}, hold={hold}{known})"
         return _line(call, what, self._doubt(role))
 
     def output(self, role: str, expression: str) -> str:
@@ -211,7 +213,10 @@ class Draft:
                 beside[label] = channel
         lines = ["problem = casid.Problem(", f"    {quoted(name)},", "    m,"]
         if self.file.time is not None:
-            lines.append(f"    time={quoted(self.file.time)},")
+            unit = f":{self.file.time_unit}" if self.file.time_unit else ""
+            if self.file.time_doubt:
+                lines.append(f"    {CHECK}{self.file.time_doubt}")
+            lines.append(f"    time={quoted(self.file.time + unit)},")
         if self.file.form is not None and self.file.form.given:
             lines.append(f"    form={self.file.form.code},")
         lines.append("    # signal of the model: column of the file, and the unit it is written in")

@@ -19,12 +19,14 @@ from casid.data.reading.file_format import FileFormat
 from casid.data.reading.header_units import header_unit, likely_reading
 from casid.data.reading.sources import limit_text, source_of
 from casid.data.reading.survey import ReadingOptions, survey
+from casid.data.reading.unit_of_time import is_open
 from casid.data.record import Record
 from casid.errors import DataError, nearest
 from casid.model.units import unit_aliases
 
 _HELD = 0.5  # heuristic: in a held command more samples than these repeat the one before ...
 _STEP = 0.05  # ... and the others move by more than this share of its spread: no quantisation
+_COUNTING = 0.99  # of the steps of a column that counts rows, at least, are the same; heuristic
 _NO_NAMES = {*keyword.kwlist, "m", "t", "casid", "ca", "problem"}  # of a problem file's own
 _WHY = {"empty": "it is empty", "text": "it holds no numbers", "time": "it holds times"}
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"})
@@ -61,6 +63,21 @@ class FileChannel:
         return bool(np.ptp(self.values) == 0.0)
 
     @property
+    def is_switched(self) -> bool:
+        """True for a command that is on or off, 0 or 1: no sensor adds noise to it."""
+        return not self.is_constant and bool(np.isin(self.values, (0.0, 1.0)).all())
+
+    @property
+    def step_of_count(self) -> float | None:
+        """The step of whole numbers without a unit that count rows; None for measurements."""
+        steps = np.diff(self.values)
+        usual = float(np.median(steps)) if steps.size else 0.0
+        is_whole = usual != 0.0 and bool(np.all(self.values == np.round(self.values)))
+        if self.unit is not None or not is_whole or np.mean(steps == usual) <= _COUNTING:
+            return None
+        return usual
+
+    @property
     def is_held(self) -> bool:
         """True for a signal of steps: most samples repeat the one before."""
         changes = np.abs(np.diff(self.values))
@@ -78,8 +95,10 @@ class FileChannels(NamedTuple):
     time : column of the time stamps; None where the sample time was given.
     left_out : columns that are no channels -> why.
     form : how the file is written, where it leaves it open.
-    resampled : sample time [s] where the clock is uneven and the record had to be interpolated.
+    resampled : sample time [s] where the clock is too uneven for the commands that estimate.
     spoilt : columns left out that hold numbers, and text in some cells.
+    time_unit : of the time stamps, where it is given.
+    time_doubt : what was assumed of a clock whose unit the file does not name.
     """
 
     path: Path
@@ -92,6 +111,8 @@ class FileChannels(NamedTuple):
     resampled: float | None = None
     form: FileFormat | None = None
     spoilt: tuple[str, ...] = ()
+    time_unit: str | None = None
+    time_doubt: str = ""
 
     @property
     def source(self) -> str:
@@ -159,7 +180,9 @@ def file_channels(
     numeric = {c.name: c for c in columns.columns if c.kind == "numeric"}
     units_of = {n: c.unit or likely_reading(c.written) for n, c in numeric.items()} | given
     specs = {column: ColumnSpec(column, unit or "1") for column, unit in units_of.items()}
-    options = ReadingOptions(columns.clock, window, mark_missing=True, form=form)
+    given_unit = time.unit if isinstance(time, ColumnSpec) and columns.clock else None
+    clock = (columns.clock, given_unit) if columns.clock and given_unit else columns.clock
+    options = ReadingOptions(clock, window, mark_missing=True, form=form)
     record, resampled = _record(path, specs, columns, options)
     spoilt = {c.name: c.remarks[0] for c in columns.columns if c.kind == "text" and c.remarks}
     left_out = {
@@ -168,19 +191,12 @@ def file_channels(
         if c.name not in units_of
     }
     left_out.pop(columns.clock or "", None)
-    channels: list[FileChannel] = []
-    for column, unit in units_of.items():
-        if record.is_missing(column).all():
-            left_out[column] = "it holds no values in this window"
-            continue
-        name = free_name(identifier(stem_of(column)), {c.name for c in channels})
-        known = unit_aliases().get(unit, unit) if unit is not None else None
-        doubt = "" if column in given else _doubt(numeric[column])
-        channels.append(FileChannel(name, column, known, record.filled(column), doubt))
+    doubts = {c: "" if c in given else _doubt(numeric[c]) for c in units_of}
+    channels = _channels(record, units_of, doubts, left_out)
     return FileChannels(
         path=path,
         window=window,
-        channels=tuple(channels),
+        channels=channels,
         time=columns.clock,
         Ts=record.Ts,
         N=record.N,
@@ -188,7 +204,42 @@ def file_channels(
         resampled=resampled,
         form=form,
         spoilt=tuple(spoilt),
+        time_unit=given_unit,
+        time_doubt=_time_doubt(columns),
     )
+
+
+def _channels(
+    record: Record,
+    units_of: Mapping[str, str | None],
+    doubts: Mapping[str, str],
+    left_out: dict[str, str],
+) -> tuple[FileChannel, ...]:
+    """The channels that have values; the others are added to `left_out`."""
+    channels: list[FileChannel] = []
+    for column, unit in units_of.items():
+        if record.is_missing(column).all():
+            left_out[column] = "it holds no values in this window"
+            continue
+        name = free_name(identifier(stem_of(column)), {c.name for c in channels})
+        known = unit_aliases().get(unit, unit) if unit is not None else None
+        channel = FileChannel(name, column, known, record.filled(column), doubts[column])
+        if (step := channel.step_of_count) is not None:
+            left_out[column] = (
+                f"it counts rows, in steps of {step:g} (with its unit behind it, {column}:UNIT, it "
+                "is a signal)"
+            )
+            continue
+        channels.append(channel)
+    return tuple(channels)
+
+
+def _time_doubt(columns: Survey) -> str:
+    """What was assumed of the unit of time, and how to write another one behind the column."""
+    said = [*columns.notes, *(fault.text for fault in columns.doubts)]
+    if not any(is_open(text) for text in said):
+        return ""
+    return "the file names no unit of time: read in seconds; COLUMN:h is hours, :ms milliseconds"
 
 
 def _doubt(column: ColumnSurvey) -> str:
@@ -205,9 +256,9 @@ def _doubt(column: ColumnSurvey) -> str:
 def _record(
     path: Path, specs: Mapping[str, ColumnSpec], columns: Survey, options: ReadingOptions
 ) -> tuple[Record, float | None]:
-    """The record, and its sample time where it had to be interpolated: good enough to guess from.
+    """The record, interpolated where its clock is uneven: good enough to guess from.
 
-    The commands that estimate ask for --resample themselves.
+    With it the sample time where the commands that estimate need it interpolated, too.
     """
     if not specs:
         raise DataError(
@@ -215,14 +266,18 @@ def _record(
             "Give a file with measurements."
         )
     assert columns.times is not None
-    found, resampled = survey(path, specs, options, describe=False), None
-    if found.record is None:
-        resampled = float(np.median(np.diff(columns.times)))
-        again = replace(options, resample=resampled)
-        found = survey(path, specs, again, describe=False)
+    found = survey(path, specs, options, describe=False)
+    if found.record is not None:
+        return found.record, None
+    # As the commands read it: on an even clock, from which rows may be absent.
+    spread = survey(path, specs, replace(options, takes_gaps=True), describe=False).record
+    if spread is not None and spread.N == columns.times.size:
+        return spread, None
+    step = float(np.median(np.diff(columns.times)))
+    found = survey(path, specs, replace(options, resample=step), describe=False)
     if found.record is None:
         raise DataError(str(found.faults[0]))
-    return found.record, resampled
+    return found.record, None if spread is not None else step
 
 
 def stem_of(column: str) -> str:

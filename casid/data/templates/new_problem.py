@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from casid.data.files import write_text
-from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.columns import ColumnSpec, clock_and_unit
 from casid.data.reading.file_format import FileFormat
 from casid.data.templates.dc_motor import DC_MOTOR
 from casid.data.templates.draft import CHECK, WIDTH, Draft, quoted
@@ -168,7 +168,7 @@ def _draft(
     form: FileFormat | None,
 ) -> Draft:
     """The file looked through, and its columns in the roles of the template."""
-    names = {name: _column_and_unit(text) for name, text in mapping.items()}
+    names = {name: clock_and_unit(text) for name, text in mapping.items()}
     clock = names.pop(_CLOCK, None)
     time = None if clock is None else ColumnSpec(clock[0], clock[1], "s")
     file = file_channels(data, time, [(c, unit) for c, unit in names.values() if unit], form)
@@ -191,12 +191,6 @@ def _refuse_path(path: Path | None, *, force: bool) -> None:
         raise DataError(f"{path} exists; name another file with --out, or add --force")
 
 
-def _column_and_unit(text: str) -> tuple[str, str | None]:
-    """`column` or `column:unit`."""
-    column, colon, unit = text.rpartition(":")
-    return (column.strip(), unit.strip()) if colon else (unit.strip(), None)
-
-
 def _columns(
     template: Template,
     file: FileChannels,
@@ -215,13 +209,14 @@ def _columns(
         if channel.unit and not any(same_quantity(channel.unit, unit) for unit in units):
             raise DataError(
                 f"{file.path.name}: column {channel.column!r} [{channel.unit}] is no "
-                f"{name} [{' or '.join(units)}]; map another column, or write its unit behind it, "
-                f"as in {name}={channel.column}:{units[0]}"
+                f"{name} [{' or '.join(units)}]; map another column, or where the file's unit is "
+                f"wrong, the unit that its numbers are in, as in {name}={channel.column}:UNIT"
             )
     free = [role for name, role in roles.items() if name not in chosen]
     rest = [c for c in file.channels if c not in chosen.values()]
     found = {**chosen, **assign(free, rest)}
-    return {name: found[name] for name in roles if name in found}
+    needless = {r.name for r in free if r.instead_of in found}
+    return {name: found[name] for name in roles if name in found and name not in needless}
 
 
 def _written(

@@ -26,6 +26,7 @@ class Role:
     against : parts of words that speak against it.
     by_name : True where the unit alone does not make a column this signal.
     column : the one column that plays it, whatever its unit.
+    instead_of : a signal beside which it is not sought: the duty of a heater whose power is there.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Role:
     against: str = ""
     by_name: bool = False
     column: str | None = None
+    instead_of: str | None = None
 
     def score(self, channel: FileChannel) -> float:
         """How well a column fits, 0 where it does not."""

@@ -14,7 +14,15 @@ ROLES = (
     Role("temperature", "output", ("K",), "room raum in innen zone temp t body wall", OUTSIDE),
     Role("ambient", "input", ("K",), OUTSIDE, "room raum innen zone", by_name=True),
     Role("power", "input", ("W",), "heat heiz power leistung p q el"),
-    Role("duty", "input", ("1",), "duty pwm heat heiz valve ventil power u on", by_name=True),
+    Role(
+        "duty",
+        "input",
+        ("1",),
+        "duty pwm heat heiz valve ventil power u on",
+        "fan luefter pump cool kuehl",
+        by_name=True,
+        instead_of="power",
+    ),
 )
 
 
@@ -74,8 +82,10 @@ def _starts(d: Draft) -> dict[str, float | None]:
         losses = [(T - d["ambient"], 0)]
     else:
         losses = [(T - zero, 0), (np.ones_like(T), 0)]
+    heats = False
     if d.has("power") or d.has("duty"):
         heat = d["power"] if d.has("power") else d.value("P_max", 1000.0) * d["duty"]
+        heats = bool(heat.min() >= 0)
         found = weak_form((heat, 0), [(T, 1), *losses], Ts)
         if found is None:
             return {"C": None, "H": None, "T_a": None}
@@ -85,7 +95,12 @@ def _starts(d: Draft) -> dict[str, float | None]:
         if found is None:
             return {"C": C, "H": None, "T_a": None}
         loss = found
-    ambient = None if d.has("ambient") or not loss[0] else zero - float(loss[1] / loss[0])
+    ambient = None
+    if not d.has("ambient") and loss[0] > 0:
+        resting, span = zero - float(loss[1] / loss[0]), float(np.ptp(T))
+        # What is heated alone is never colder than its surroundings all along.
+        highest = float(T.max()) + (0.0 if heats else span)
+        ambient = resting if T.min() - span <= resting <= highest else None
     return {"C": C, "H": float(loss[0]), "T_a": ambient}
 
 

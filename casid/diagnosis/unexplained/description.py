@@ -330,8 +330,19 @@ def _in_time(
         out.append(f"It is strongest from {ranges}.")
     if goes_with and not best.dependences:
         name, r = goes_with[0]
-        out.append(f"It is {'larger' if r > 0 else 'smaller'} when {name} is large.")
+        out.append(going_with(name, r))
     return out
+
+
+def going_with(name: str, correlation: float) -> str:
+    """That it is larger or smaller with the size of a variable; one made of the time, in words."""
+    more = f"It is {'larger' if correlation > 0 else 'smaller'}"
+    if step := re.fullmatch(r"step at (\S+) s", name):
+        return f"{more} after t = {float(step[1]):.6g} s than before."
+    if ramp := re.fullmatch(r"share of the time from (\S+) to (\S+) s, .*", name):
+        start, stop = (f"{float(t):.6g}" for t in ramp.groups())
+        return f"{more} near t = {start} s and t = {stop} s than between."
+    return f"{more} when {name} is large."
 
 
 def _thin(s: ForceSeries) -> dict[str, Any]:

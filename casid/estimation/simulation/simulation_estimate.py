@@ -11,6 +11,7 @@ from casid.arrays import Array
 from casid.data.channel_quality import stuck_channels
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
+from casid.data.reading.unit_of_time import is_open
 from casid.estimation.estimate import Agreement, Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
 from casid.estimation.fit_statistics import nrmse_fit, rms
@@ -78,14 +79,21 @@ class ErrorBars:
 
 
 def channel_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
-    """Warnings of inputs with gaps, and of channels that are constant or at a limit.
+    """Warnings of inputs with gaps, of a unit of time that was assumed, and of channels that are
+    constant or at a limit.
 
     Inputs have to be so for a tenth of the record; commands may rest at a limit.
     """
     commands = [name for name, u in model.inputs.items() if u.kind == "known"]
     measured = [name for name in model.inputs if name not in commands]
     groups = ((measured, 0.1, True), (commands, 0.1, False), (model.outputs, 0.0, True))
-    return gap_notes(experiments) + [
+    assumed = [
+        f"{e.name}: {line.removeprefix('remark: ')}"
+        for e in experiments
+        for line in e.record.provenance
+        if is_open(line.removeprefix("remark: "))
+    ]
+    return [*gap_notes(experiments), *assumed] + [
         f"{e.name}: {f.channel}: {f.text} {f.remedy}"
         for e in experiments
         for names, least, are_measured in groups

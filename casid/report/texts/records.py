@@ -23,10 +23,10 @@ def check_document(found: CheckReport) -> Document:
     if found.N is not None and found.Ts is not None:
         text = (
             f"{found.N}, every Ts = {found.Ts:.6g} s ({1 / found.Ts:.6g} Hz), "
-            f"{_duration_text(found.duration)} from t0 = {found.t0:g} s"
+            f"{_duration_text(found.duration)} from t0 = {found.t0:.9g} s"
         )
-        if found.t0 is not None:
-            text += f", the last at {found.t0 + (found.N - 1) * found.Ts:.9g} s"
+        if found.t_last is not None:
+            text += f", the last at {found.t_last:.9g} s"
         parts.append(("samples", text))
     if found.clock:
         c = found.clock

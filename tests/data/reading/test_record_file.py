@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
@@ -144,6 +145,33 @@ def test_dates_become_seconds_since_the_first(csv):
     assert [p["t"].tolist() for p in iter_chunks(path, size=2)] == [[0.0, 0.5], [1.0]]
 
 
+@pytest.mark.parametrize(
+    "form",
+    ["%a %b %e %H:%M:%S %Y", "%a %b %d %H:%M:%S CEST %Y", "%a, %d %b %Y %H:%M:%S +0200",
+     "%b %d %H:%M:%S %Y", "%b %d, %Y %H:%M:%S", "%A, %d. %B %Y %H:%M:%S",
+     "%A, %B %d, %Y %I:%M:%S %p"],
+)  # fmt: skip
+@pytest.mark.parametrize("name", ["Date", "logged"])
+def test_dates_in_words_are_read(tmp_path, form, name):
+    moments = [datetime(2019, 4, 3, 21, 46, 7) + timedelta(seconds=90 * k) for k in range(15)]
+    path = tmp_path / "run.csv"
+    rows = [f"{moment.strftime(form)};{k % 4}" for k, moment in enumerate(moments)]
+    path.write_text("\n".join([f"{name};x", *rows]) + "\n")
+    record = read_record(path)
+    assert (record.Ts, record.N) == (90, 15)
+    assert any("first 03 April 2019" in line for line in record.provenance)
+
+
+def test_time_stamps_that_cannot_be_read_are_not_to_be_declared_missing(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time;x\n" + "".join(f"morning {k};{k}\n" for k in range(5)))
+    with pytest.raises(
+        DataError, match=r"'morning 0'. Correct the cells: time stamps are"
+    ) as error:
+        read_record(path)
+    assert "--missing" not in str(error.value)
+
+
 def test_a_file_without_time_stamps_needs_a_sample_time(csv):
     path = csv("y,u\n1,2\n3,4\n")
     assert read_record(path, Ts=0.5).t.tolist() == [0.0, 0.5]
@@ -185,7 +213,9 @@ def test_stamps_rounded_to_single_precision_are_uniform():
      ("x_min", None), ("y", None), ("x []", "1"), ("u_ms", None), ("T [degC]", "degC"),
      ("u [Volt]", "V"), ("v (Meters per Second)", "m/s"), ("M in Newton metre", "N m"),
      ("p [Kilopascal]", "kPa"), ("T [Degree Celsius]", "degC"), ("m [Pound]", None),
-     ("x_Second", None), ("x_Bar", None)],
+     ("x_Second", None), ("x_Bar", None), ("h (in cm)", "cm"), ("h(t) (in cm)", "cm"),
+     ("h(t) [mm]", "mm"), ("t (in sec)", "sec"), ("h (in)", "in"), ("h (in in)", "in"),
+     ("P [in W (mean)]", None), ("M (in lbf)", None), ("phi [deg] (filtered)", "deg")],
 )  # fmt: skip
 def test_the_ending_of_a_name_gives_the_unit_where_it_has_one_reading(column, unit):
     found = header_unit(column)

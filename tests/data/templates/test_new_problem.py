@@ -107,6 +107,72 @@ def test_the_user_names_what_is_guessed_wrong(tmp_path: Path) -> None:
     assert '"position": "b [m]:mm"' in found.text
 
 
+def heated(header: str, folder: Path, *, jitter: float = 0.0) -> Path:
+    """A box at 20 degC that a switch heats towards 80 in 400 s, which the record does not reach."""
+    N = 120
+    on = (np.arange(N) >= 10).astype(float)
+    fan = (np.arange(N) >= 5).astype(float)
+    t = 3.0 * np.arange(N) + jitter * np.random.default_rng(1).uniform(-1, 1, N)
+    box = 20 + 60 * (1 - np.exp(-np.maximum(3.0 * (np.arange(N) - 10), 0) / 400))
+    return written_for(folder, header, t, fan, on, box)
+
+
+def test_a_switch_is_known_and_the_duty_of_a_heater_whose_power_is_there_not_sought(
+    tmp_path: Path,
+) -> None:
+    data = heated("time [s],fan_on,heater_on,T [degC]", tmp_path)
+    power = casid.new_problem(data, "thermal", mapping={"power": "heater_on"})
+    assert set(power.channels) == {"temperature", "power"}
+    assert power.recorded == {"fan_on": "'fan_on' [1]"}
+    duty = casid.new_problem(data, "thermal", tmp_path / "box.py")
+    assert duty.channels["duty"] == "'heater_on' [1]"
+    assert 'm.input("duty", "1", hold="zoh", known=True)' in duty.text
+    casid.load_problem(tmp_path / "box.py")
+
+
+def test_surroundings_that_a_record_does_not_show_start_at_its_coldest_to_be_checked(
+    tmp_path: Path,
+) -> None:
+    """A straight rise under a heater put them at four times the hottest temperature."""
+    t = 3.0 * np.arange(120)
+    box = 25 + 0.1 * np.maximum(t - 30, 0) ** 1.05
+    data = written_for(tmp_path, "time [s],heater_on,T [degC]", t, (t > 30).astype(float), box)
+    found = casid.new_problem(data, "thermal", known={"P_max": 120.0})
+    assert 'm.parameter("T_a", "degC", start=25)' in found.text
+    assert any(
+        "temperature of the surroundings; the start is a guess" in c for c in found.checks.values()
+    )
+
+
+def test_a_clock_that_identify_reads_as_even_is_not_to_be_resampled(tmp_path: Path) -> None:
+    data = heated("time [s],fan_on,heater_on,T [degC]", tmp_path, jitter=0.1)
+    found = casid.new_problem(data, "thermal", tmp_path / "box.py")
+    assert "--resample" not in str(found)
+    assert casid.load_problem(tmp_path / "box.py").read(data).record.N == 120
+
+
+def test_a_column_that_counts_rows_is_no_signal_unless_its_unit_is_given(tmp_path: Path) -> None:
+    """2, 4, 6 ... under `n` was the speed of a motor."""
+    t, u, angle = waves(2)
+    count = 38.0 + 2 * np.arange(200)
+    data = written_for(tmp_path, "time [s],n,u,theta", t, count, u, angle)
+    found = casid.new_problem(data, "dc-motor")
+    assert set(found.channels) == {"voltage", "angle"}
+    assert found.left_out["n"].startswith("it counts rows, in steps of 2")
+    with pytest.raises(casid.DataError, match="'n' cannot be speed: it counts rows.*n:UNIT"):
+        casid.new_problem(data, "dc-motor", mapping={"speed": "n"})
+    ramp = casid.new_problem(data, "dc-motor", mapping={"speed": "n:rpm"})
+    assert ramp.channels["speed"] == "'n' [rpm]"
+
+
+def test_a_unit_behind_the_word_in_is_kept(tmp_path: Path) -> None:
+    """14 cm of water were 14 inch centimetres, and 14 m by the advice of the refusal."""
+    t, x = waves(1)
+    data = written_for(tmp_path, "t (in sec),h(t) (in cm)", t, 14 + x)
+    found = casid.new_problem(data, "tank", mapping={"level": "h(t) (in cm)"})
+    assert found.channels["level"] == "'h(t) (in cm)' [cm]"
+
+
 def test_a_signal_of_steps_is_taken_as_held(tmp_path: Path) -> None:
     t, x = waves(1)
     stepped = np.repeat(np.random.default_rng(1).standard_normal(20), 10)
@@ -128,7 +194,7 @@ def test_a_signal_of_steps_is_taken_as_held(tmp_path: Path) -> None:
         ),
         (
             {"template": "mass-spring-damper", "mapping": {"force": "x [m]"}},
-            r"'x \[m\]' \[m\] is no force \[N\]",
+            r"'x \[m\]' \[m\] is no force \[N\].* its numbers are in, as in force=x \[m\]:UNIT",
         ),
         (
             {"template": "mass-spring-damper", "known": {"m": 2.0}},

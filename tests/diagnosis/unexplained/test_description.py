@@ -10,8 +10,9 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
-from casid.diagnosis.unexplained.description import Unexplained, unexplained
+from casid.diagnosis.unexplained.description import Unexplained, going_with, unexplained
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.effects.parameter_effects import ramp_over, step_at
 from casid.report.figures.unexplained import (
     dependence_figure,
     missing_spectrum_figure,
@@ -100,3 +101,11 @@ def test_what_is_told_can_be_written_and_drawn():
     assert "noise alone" in {t.name for t in missing_spectrum_figure(found).data}
     over_time = missing_time_figure(found)
     assert len({t.yaxis for t in over_time.data}) == 1 + len(found.signals[0])
+
+
+def test_what_is_made_of_the_time_is_described_by_it() -> None:
+    """Not "it is larger when step at 5.71102195 s is large"."""
+    step, ramp = step_at(5.71102195).name, ramp_over(1.0, 9.5).name
+    assert going_with(step, 0.5) == "It is larger after t = 5.71102 s than before."
+    assert going_with(ramp, -0.5) == "It is smaller near t = 1 s and t = 9.5 s than between."
+    assert going_with("phi", 0.5) == "It is larger when phi is large."
