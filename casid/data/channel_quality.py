@@ -373,7 +373,7 @@ def quantisation_step(values: FloatArray) -> float | None:
     distances = distances[distances > 1e-9 * scale]  # rounding of the conversion to SI
     if distances.size == 0:
         return None
-    step = float(distances.min())
+    step = _even_step(np.sort(distances))
     multiples = distances / step
     small = multiples < 1e3
     off = np.abs(multiples - np.round(multiples))[small]
@@ -381,6 +381,20 @@ def quantisation_step(values: FloatArray) -> float | None:
     if not small.any() or np.median(multiples) > 50 or np.quantile(off, 0.95) > 0.05:
         return None
     return float(np.median(distances[small] / np.round(multiples[small])))
+
+
+def _even_step(distances: FloatArray) -> float:
+    """The step of sorted distances that a print has rounded: from the smallest one on, by all.
+
+    Of 0.0625 with three decimals the smallest distance is 0.062, which eight steps are none of.
+    """
+    step, total, count = float(distances[0]), 0.0, 0.0
+    for distance in distances.tolist():
+        if distance > 50 * step:
+            break
+        total, count = total + distance, count + round(distance / step)
+        step = total / count
+    return step
 
 
 def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:

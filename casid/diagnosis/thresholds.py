@@ -620,6 +620,11 @@ class Shortlist:
         "of any other",
         f"{TESTS}/search/test_shortlist.py",
     )
+    switch: int = _is(
+        3,
+        "levels of a switch, at most: held by its nature, nothing in it is sought to be smooth",
+        f"{TESTS}/search/test_switches.py",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,9 @@ from casid.estimation.simulation.simulation_error import window_cuts
 from casid.model.model import Model
 from casid.model.quantities import growth_text, percent_text
 
+LEAST_HELD_OUT = 0.2
+"""Share of a record of which half is still worth to be held out."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
@@ -94,6 +97,16 @@ def split_records(
         else:
             fitted.append(e)
     return Split(fitted, list(experiments), masks, [])
+
+
+def holding_out_less(split: Split) -> Split:
+    """Half as much of the end of each record held out, or nothing where that was little.
+
+    Records that are held out as a whole stay so.
+    """
+    share = max((float(np.mean(held)) for held in split.held), default=0.0)
+    share = share / 2 if share > LEAST_HELD_OUT else 0.0
+    return replace(split_records(split.whole, share), apart=split.apart)
 
 
 def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array, Array]:

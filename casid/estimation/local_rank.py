@@ -69,6 +69,8 @@ def rank_of(variables: Sequence[Variable], hessian: Array, x: Array) -> LocalRan
 
 _DESCRIBED, _NAMED = 6, 12  # directions in a message, and unknowns in a direction, at most
 
+_EXPONENT = 4  # numerator and denominator of an exponent, at most: a law of physics has no 283/4
+
 
 def describe_null(rank: LocalRank) -> str:
     """What is not identifiable, what is determined instead, and the remedy, in sentences."""
@@ -105,8 +107,9 @@ def _invariants(direction: Mapping[str, float]) -> list[str]:
     base, b = items[0]
     out = []
     for name, v in items[1:]:
-        q = Fraction(b / v).limit_denominator(4)
-        if q == 0 or abs(float(q) - b / v) > 1e-3 * abs(b / v):
+        q = Fraction(b / v).limit_denominator(_EXPONENT)
+        is_small = 0 < abs(q) <= _EXPONENT and abs(q.numerator) <= _EXPONENT
+        if not is_small or abs(float(q) - b / v) > 1e-3 * abs(b / v):
             return []
         sign = "/" if q > 0 else " "
         power = "" if abs(q) == 1 else f"^({abs(q)})"

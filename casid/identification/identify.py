@@ -362,7 +362,7 @@ def _fit(
         if not is_poor(fit):
             return None
         say("the fit is poor: negate each channel in turn")
-        return wrong_sign(problem, experiments, settings)
+        return wrong_sign(problem, experiments, settings, reported=fit)
 
     if not checks_signs:
         return fit, None

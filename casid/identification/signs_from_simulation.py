@@ -9,8 +9,10 @@ number of channels (Bonferroni). Half the power is a heuristic: a channel that m
 wrong way round, costs far more.
 
 A sign that is wrong explains the misfit: with it corrected the model has to miss less than the
-outputs' means do. A flip that only makes a hopeless fit less bad is none. An absolute temperature
-cannot have a wrong sign at all.
+outputs' means do, and less than with a turned input at rest, and not hold all of its parameters at
+their bounds. A flip that only makes a hopeless fit less bad is none. An absolute temperature cannot
+have a wrong sign at all. Quick fits only choose the channel: it is judged by a fit with its sign
+turned, as many steps as the simulation needs, against the fit that is reported.
 
 Where noise makes most of what the simulation misses, either sign misses by as much. Then an input
 that no noise reaches distinguishes them, by the moments of instruments made of it
@@ -131,6 +133,7 @@ def wrong_sign(
     experiments: Sequence[Experiment],
     settings: FitSettings,
     *,
+    reported: Fit | None = None,
     alpha: float = 0.05,
 ) -> WrongSign | None:
     """The channel to be suspected, if any: negated in turn, where the fit as recorded is poor.
@@ -144,6 +147,7 @@ def wrong_sign(
     problem : its inputs declared free of noise are references for instruments; without any, those
         of unknown noise that past outputs do not predict.
     experiments : as recorded, with their load cases.
+    reported : the fit to them that the user sees, if there is one: a flip has to be better than it.
     alpha : of the test, for all channels together.
     """
     problem = problem_of(problem)
@@ -154,7 +158,7 @@ def wrong_sign(
     channels = [n for n in (*model.outputs, *inputs) if _may_be_turned(experiments, n)]
     short = [_most_excited(e, tuple(model.outputs)) for e in experiments]
     quick = quick_settings(settings)
-    recorded = _fitted(model, short, quick)
+    recorded = _as_recorded(model, experiments, short, quick, reported)
     if recorded is not None and not is_poor(recorded):
         return None
     found = {c: _fitted(model, negated(short, c), quick) for c in channels}
@@ -167,16 +171,24 @@ def wrong_sign(
     # Where nothing fits as recorded, a flip has to be better than some other.
     others = [s for s in squares.values() if error.sum() < CLEARLY * s.sum()]
     reference = _squares(recorded) if recorded is not None else min(others, key=_sum, default=error)
-    p = min(1.0, len(channels) * better_by_chance(reference - error))
+    # The best of the quick fits once more, to its end: the steps of those may be too long.
+    if error.sum() < reference.sum() and (full := _to_its_end(found[best], settings)) is not None:
+        found[best] = full
+    fit = found[best]
+    assert fit is not None
+    left = _squares(fit)
+    p = min(1.0, len(channels) * better_by_chance(reference - left))
     missing = dict.fromkeys(model.outputs, float("nan"))
     before = missing if recorded is None else _rms(recorded)
-    if error.sum() >= CLEARLY * reference.sum() or p >= alpha:
+    if left.sum() >= CLEARLY * reference.sum() or p >= alpha:
         is_worse = {c for c, s in squares.items() if _sum(s) >= _sum(reference)}
         worse = set() if recorded is None else is_worse
         return _by_reference(problem, experiments, found, before, worse, alpha)
-    fit = found[best]
-    assert fit is not None
-    if not (_rises(fit) and _is_better_than_the_mean(fit)):
+    if not (_rises(fit) and _is_good(fit, best)):
+        return None
+    # The fit as recorded may have stopped on the way: from where the turned one ended, too.
+    instead = _near(model, short, replace(settings, starts=1), fit)
+    if instead is not None and left.sum() >= CLEARLY * _squares(instead).sum():
         return None
     better = {c: s for c, s in squares.items() if s.sum() < CLEARLY * reference.sum()}
     same = {c: min(1.0, 2.0 * better_by_chance(s - error)) for c, s in better.items() if c != best}
@@ -189,6 +201,39 @@ def wrong_sign(
         rivals={c: p_same for c, p_same in same.items() if p_same > alpha},
         start=fit.values,
     )
+
+
+def _as_recorded(
+    model: Model,
+    experiments: Sequence[Experiment],
+    short: Sequence[Experiment],
+    quick: FitSettings,
+    reported: Fit | None,
+) -> Fit | None:
+    """The fit with the signs as recorded: the one that is reported, or one that begins there."""
+    if reported is None:
+        return _fitted(model, short, quick)
+    if all(a is b for a, b in zip(experiments, short, strict=True)):
+        return reported if np.isfinite(reported.solution.value) else None
+    steps = replace(quick, substeps=reported.criterion.substeps)
+    found = [_fitted(model, short, quick), _near(model, short, steps, reported)]
+    return min((f for f in found if f is not None), key=lambda f: _sum(_squares(f)), default=None)
+
+
+def _near(
+    model: Model, experiments: Sequence[Experiment], settings: FitSettings, other: Fit
+) -> Fit | None:
+    """The fit from the parameters of another, its initial states as declared."""
+    start = {name: value for name, value in other.values.items() if name in model.parameters}
+    return _fitted(model, experiments, settings, start=start)
+
+
+def _to_its_end(fit: Fit | None, settings: FitSettings) -> Fit | None:
+    """The fit from where a quick one ended, with as many steps as it needs."""
+    if fit is None:
+        return None
+    once = replace(settings, starts=1)
+    return _fitted(fit.criterion.model, fit.criterion.experiments, once, start=fit.values)
 
 
 def _by_reference(
@@ -212,7 +257,7 @@ def _by_reference(
         fit = fits.get(named.channel)
         if named.ratio**2 >= CLEARLY or named.channel in worse or fit is None:
             return None
-        if not _is_better_than_the_mean(fit):
+        if not _is_good(fit, named.channel):
             return None
         return WrongSign(
             channel=named.channel,
@@ -284,6 +329,31 @@ def _is_better_than_the_mean(fit: Fit) -> bool:
     return _sum(_squares(fit)) < total
 
 
+def _is_good(fit: Fit, channel: str) -> bool:
+    """True if a flip makes a model of it: of the outputs, by what it says of the channel."""
+    model, free = fit.criterion.model, fit.criterion.variables
+    bounded = [v.name in fit.solution.active for v in free if v.source in model.parameters]
+    if len(bounded) > 1 and all(bounded):
+        return False
+    return _is_better_than_the_mean(fit) and not _is_better_at_rest(fit, channel)
+
+
+def _is_better_at_rest(fit: Fit, channel: str) -> bool:
+    """True if an input that stays at its mean explains as much: the outputs go against it then."""
+    c = fit.criterion
+    if channel not in c.model.inputs:
+        return False
+    column, moving, resting = list(c.model.inputs).index(channel), 0.0, 0.0
+    for e, d in enumerate(c.data):
+        u = d.u.copy()
+        u[:, column] = u[:, column].mean()
+        with np.errstate(all="ignore"):
+            y, _, _ = c.simulate(fit.x, e, signals=replace(d, u=u))
+            resting += _sum((np.where(d.used, d.y - y, 0.0) * c.weights) ** 2)
+        moving += _sum((c.simulated(fit.x, e).residual * c.weights) ** 2)
+    return resting <= moving
+
+
 def _rises(fit: Fit) -> bool:
     """True if some simulated output moves by as much as is missed of it."""
     for e, d in enumerate(fit.criterion.data):
@@ -299,9 +369,14 @@ def _unit(model: Model, channel: str) -> str:
     return model.outputs[channel][1] if channel in model.outputs else model.inputs[channel].unit
 
 
-def _fitted(model: Model, experiments: Sequence[Experiment], settings: FitSettings) -> Fit | None:
+def _fitted(
+    model: Model,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    start: Mapping[str, float] | None = None,
+) -> Fit | None:
     try:
-        fit = fit_model(model, experiments, settings, check_rank=False, throw=False)
+        fit = fit_model(model, experiments, settings, start=start, check_rank=False, throw=False)
         if fit.not_done:
             require_time("the test of the signs of the channels")
     except OutOfTimeError:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from casid.data.channel_quality import quantisation_step
 from casid.data.quality import check
 from casid.data.record import Record
 from casid.errors import DataError
@@ -325,3 +326,12 @@ def test_text_in_one_cell_is_a_fault_beside_a_unit_of_two_readings(tmp_path):
     found = check(file)
     assert not found.is_usable
     assert any("line 52: 'ERR'" in f.text for f in found.findings)
+
+
+def test_the_step_of_a_sensor_is_found_behind_the_rounding_of_its_print() -> None:
+    """Sixteenths of a degree with three decimals: 0.062 and 0.063 from level to level."""
+    sixteenths = 400 + np.cumsum(np.random.default_rng(3).integers(1, 11, 80))
+    assert quantisation_step(np.round(sixteenths / 16, 3)) == pytest.approx(1 / 16, rel=1e-3)
+    shown = np.round(np.concatenate([sixteenths, sixteenths[:40] + 1]) / 16, 3) + 273.15
+    assert quantisation_step(shown) == pytest.approx(1 / 16, rel=1e-3)
+    assert quantisation_step(np.random.default_rng(4).standard_normal(200)) is None

@@ -161,6 +161,59 @@ def test_an_estimate_from_right_signs_has_no_suspects() -> None:
     assert found.suspects == ()
 
 
+# -- a sign is wrong only against the fit that is reported, and only if turned it makes a model ----
+
+
+def late_heater() -> tuple[casid.Problem, casid.Experiment]:
+    """A heated block, on for 234 s of 366 s, under a sensor that lags by 25 s; the model has none.
+
+    The loss begins at 10 W/K, 40 times too large: turned, the duty is matched by a time constant so
+    short that a step a sample makes it grow.
+    """
+    m = casid.Model("block")
+    u, T = m.input("duty", "1", hold="zoh"), m.state("T", "degC", start=25.6)
+    C = m.parameter("C", "J/K", start=380, lower=0.1, upper=10000)
+    H = m.parameter("H", "W/K", start=10, lower=0.01, upper=1000)
+    P, outside = m.constant("P", 120, "W"), m.constant("T_a", 298.5, "K")
+    m.balance(T, "heat", inertia=C, terms=[P * u, -H * (T - outside)])
+    m.output("temperature", T, "degC")
+    on, inside, shown = np.zeros(122), 298.6, np.full(122, 298.6)
+    on[20:98] = 1.0
+    for k in range(121):
+        shown[k + 1] = shown[k]
+        for _ in range(30):
+            shown[k + 1] += 0.1 / 25 * (inside - shown[k + 1])
+            inside += 0.1 / 620 * (120 * on[k] - 0.25 * (inside - 298.5))
+    shown = np.round(shown / 0.0625) * 0.0625
+    record = casid.Record(
+        {"duty": on, "temperature": shown}, {"duty": "1", "temperature": "K"}, Ts=3
+    )
+    return casid.Problem("block", m), casid.Experiment(record, {}, "block")
+
+
+def spin_up(kick: float = 2.0) -> tuple[casid.Problem, casid.Experiment]:
+    """A motor that counts turns from a start that is far: torque and drag ten times too large."""
+    m = casid.Model("motor")
+    th, w = m.state("th", "rad"), m.state("w", "rad/s")
+    torque = m.parameter("T_m", "N m", start=0.005, lower=0.0, upper=1.0)
+    d = m.parameter("d", "N m s/rad", start=1e-5, lower=0.0, upper=1.0)
+    m.derivative(th, w)
+    m.balance(w, "torque", inertia=m.constant("J", 7.7e-6, "kg m^2"), terms=[torque, -d * w])
+    m.output("count", m.constant("cpr", 63.66, "1/rad") * th, "1")
+    t = 0.0025 * np.arange(224)
+    turned = 0.5 * 160 * t**2 * (1 + 0.1 * np.sin(9 * t)) + kick * np.sqrt(t)
+    record = casid.Record({"count": np.floor(1 + 63.66 * turned)}, {"count": "1"}, Ts=0.0025)
+    return casid.Problem("motor", m), casid.Experiment(record, {}, "spin")
+
+
+@pytest.mark.parametrize("made", [late_heater, spin_up])
+def test_no_sign_is_wrong_against_the_fit_that_is_reported(made) -> None:
+    problem, record = made()
+    assert casid.identify(problem, record).suspects == ()
+    found = casid.diagnose(problem, record, hold_out=0, max_causes=1, starts=1, advise=False)
+    assert "wrong sign" not in found.sentence
+
+
 # -- noise as large as the motion: instruments from the rudder tell the signs ----------------------
 
 BUILT = ship.problem.with_known({"A_x": ship.TABLE_8_2["A_x"], "K_vdot": ship.TABLE_8_2["K_vdot"]})

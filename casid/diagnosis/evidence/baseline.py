@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+
+import numpy as np
 
 from casid.data.problem import Problem
 from casid.diagnosis.attempts import FAILURES, reason_of
@@ -21,12 +24,13 @@ from casid.diagnosis.evidence.sufficiency import (
 )
 from casid.diagnosis.evidence.unstable_records import in_windows
 from casid.diagnosis.settings import DiagnosisSettings
-from casid.errors import CasidError, OutOfTimeError, SolveError
-from casid.estimation.holdout import Split
+from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
+from casid.estimation.holdout import Split, holding_out_less
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import (
     WrongSign,
+    is_poor,
     negated_split,
     quick_settings,
     wrong_sign,
@@ -81,7 +85,7 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
     if not reason:
         try:
             with until(settings.search_ends):
-                return _fitted(problem, split, settings)
+                return _determined(problem, split, settings)
         except OutOfTimeError:
             reason = (
                 "the budget of time ended before the model as it is was fitted: fit a shorter "
@@ -94,17 +98,44 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
     return _uninformative(problem, split, settings.fit, reason)
 
 
+def _determined(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
+    """The model fitted to so much of the records that they determine its parameters.
+
+    What is not seen of them in the first part of a record may be seen in its end.
+    """
+    less = split
+    while True:
+        try:
+            found = _fitted(problem, less, settings)
+        except IdentifiabilityError:
+            if not any(bool(held.any()) for held in less.held):
+                raise
+            less = holding_out_less(less)
+            settings.progress("the fitted part does not determine the parameters: hold out less")
+            continue
+        if less is split:
+            return found
+        part, left = (max(float(np.mean(h)) for h in s.held) for s in (split, less))
+        held = f"{100 * left:.0f} % are" if left else "nothing is"
+        note = (
+            f"the first {100 * (1 - part):.0f} % of the record do not determine all parameters, "
+            f"which more of it does: {held} held out"
+        )
+        return replace(found, notes=(*found.notes, note))
+
+
 def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
     say = settings.progress
     say("fit the model as it is")
     split, of_windows = in_windows(problem.model, split, settings.fit, say)
-    negated = wrong_sign(problem, split.fitted, settings.fit, alpha=settings.alpha)
+    fit, negated = _with_signs_as_recorded(problem, split, settings)
     as_recorded: Fit | None = None
     if negated is not None:
         say(f"negate {negated.channel}, which probably has the wrong sign")
-        as_recorded = _fit_as_recorded(problem, split, settings.fit, negated)
+        as_recorded = fit or _fit_as_recorded(problem, split, settings.fit, negated)
         split = negated_split(split, negated.channel)
-    fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
+    if fit is None or negated is not None:
+        fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
     split, moved = with_steps_in_gaps(fit, split)
     if moved:
         say(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
@@ -142,10 +173,25 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     )
 
 
+def _with_signs_as_recorded(
+    problem: Problem, split: Split, settings: DiagnosisSettings
+) -> tuple[Fit | None, WrongSign | None]:
+    """The fit of the records as they are, and the channel that has the wrong sign in it."""
+    fit: Fit | None = None
+    with suppress(SolveError, IdentifiabilityError):  # the next fit says so, or a sign is to blame
+        fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
+    if fit is not None and not is_poor(fit):
+        return fit, None
+    return fit, wrong_sign(problem, split.fitted, settings.fit, reported=fit, alpha=settings.alpha)
+
+
 def _again(problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit) -> Fit:
     """The fit to changed records, from what it was."""
     again = replace(settings.fit, starts=1, substeps=fit.criterion.substeps)
-    return fit_model(problem.model, split.fitted, again, start=fit.values, throw=False)
+    # Where they ended the rank may be poor, which the first fit was judged by at its start.
+    return fit_model(
+        problem.model, split.fitted, again, start=fit.values, check_rank=False, throw=False
+    )
 
 
 def _uninformative(problem: Problem, split: Split, settings: FitSettings, why: str) -> Baseline:

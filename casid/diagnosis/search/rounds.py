@@ -102,6 +102,7 @@ class Search:
             for e in effects
             if not e.sets_in or not (e.where in own or is_known_event(at, e, known))
         ]
+        effects = [e for e in effects if not _smooths_a_switch(at, e)]
         # A slope of a cause's own size would be a second effect in the place of a first one.
         effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]
         judged = at.unbiased or at.fit
@@ -259,6 +260,18 @@ def _other_falls(
 def _solution(model: Model, effects: Sequence[Effect]) -> Explicit:
     """The equations of a model with effects, solved for its derivatives."""
     return extend_all(model, [e for e in effects if e.test == "score"])[0].explicit()
+
+
+def _smooths_a_switch(at: Weighted, effect: Effect) -> bool:
+    """True of an effect that has an input of two or three levels vary smoothly between samples."""
+    if effect.kind != "hold" or effect.shape != "bandlimited":
+        return False
+    inputs = list(at.model.inputs)
+    columns = [inputs.index(n) for n in effect.where.split(", ")]
+    return any(
+        np.unique(np.concatenate([d.u[:, i] for d in at.criterion.data])).size <= SHORTLIST.switch
+        for i in columns
+    )
 
 
 def _peak_score(found: PeriodicCandidate | CoggingCandidate) -> Score:

@@ -240,7 +240,9 @@ class _Selection:
         search.progress(
             f"compare {name_of(taken.candidate.effect)} with its rivals beside what it leaves"
         )
-        for other in better_rivals(search, self.adopted, self.start, self.at):
+        what = f"the comparison of {name_of(taken.candidate.effect)} with its rivals"
+        better = partial(better_rivals, search, self.adopted, self.start, self.at)
+        for other in search.attempts.attempt(what, better) or ():
             what = f"the extension by {name_of(other.effect)}"
             if search.attempts.attempt(what, partial(self._exchange, taken, other)):
                 return

@@ -31,6 +31,24 @@ Five time constants after its start less than a hundredth of what was before rem
 input did before the record all outputs show; after that time the initial state makes up for it.
 """
 
+MOST_OF_LAG = 0.25
+"""Share of a record that is left out for a lag at most.
+
+What was before dies away, and a lag whose five time constants are longer would leave nothing to
+fit. Of a delay there is no remainder that is small: it is left out to its end.
+"""
+
+
+def due_to_past(kind: str, longest: float, N: int) -> int:
+    """How many first samples of a record of N are due to its past, of a stage with `MEMORY`.
+
+    Parameters
+    ----------
+    longest : its parameter at most, in samples.
+    """
+    most = int(MOST_OF_LAG * N) if kind == "lag" else N
+    return int(min(np.ceil(MEMORY[kind] * longest) + 1, most))
+
 
 GROUP = 8
 """Columns of a Jacobian that pass a stage at once."""

@@ -30,6 +30,7 @@ from casid.estimation.simulation.measured_states import (
 from casid.estimation.simulation.sensor_dynamics import (
     MEMORY,
     Before,
+    due_to_past,
     prepared_inputs,
     through_sensor,
 )
@@ -196,8 +197,8 @@ class SimulationError:
         out = np.zeros(d.used.shape, dtype=bool)
         for stage in self.model.stages:
             if stage.kind in MEMORY:
-                longest = MEMORY[stage.kind] * self.model.parameters[stage.parameter].upper
-                first = min(int(np.ceil(longest / d.Ts)) + 1, d.N)
+                upper = self.model.parameters[stage.parameter].upper
+                first = due_to_past(stage.kind, upper / d.Ts, d.N)
                 columns = slice(None) if stage.is_of_input else self.outputs.index(stage.channel)
                 out[:first, columns] = True
         return out

@@ -1,4 +1,4 @@
-"""An effect whose size the records do not determine beside the model's parameters is no cause."""
+"""What is adopted: no effect whose size the records do not determine, and no failure ends it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.search.selection import _why_undetermined
+from casid.diagnosis.attempts import Attempts
+from casid.diagnosis.search import selection
+from casid.diagnosis.search.selection import _Selection, _why_undetermined
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import cubic_stiffness
 from casid.model.effects.channel_effects import sensor_scale
@@ -54,3 +56,28 @@ def test_a_gain_of_the_only_sensor_is_another_mass_damper_and_spring(effect, say
     fits = [fit_model(m, data, once, check_rank=False, throw=False) for m in (mass(), model)]
     assert says in _why_undetermined(*fits, SimpleNamespace(names=names))
     assert bool(says) == bool(_why_undetermined(*fits, SimpleNamespace(names=names)))
+
+
+def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
+    """The cause that was adopted stays, with a note that says what was not compared."""
+
+    def fails(*_):
+        raise casid.DataError("0 samples are too few for 6 unknowns")
+
+    monkeypatch.setattr(selection, "better_rivals", fails)
+    effect = sensor_scale(mass(), "position")
+    taken = SimpleNamespace(
+        candidate=SimpleNamespace(effect=effect),
+        before=SimpleNamespace(noise_absorbs_misfit=True),
+        contenders=(effect,),
+    )
+    search = SimpleNamespace(attempts=Attempts(), progress=lambda _: None)
+    at = SimpleNamespace(noise_absorbs_misfit=False)
+    state = _Selection(search, None, None, None, at, None, at, None, None, [taken])
+    state.exchange_last()
+    assert state.adopted == [taken]
+    (note,) = search.attempts.notes()
+    assert note == (
+        "the comparison of gain error of position with its rivals was left out: 0 samples are too "
+        "few for 6 unknowns"
+    )

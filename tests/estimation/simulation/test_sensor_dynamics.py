@@ -122,3 +122,12 @@ def test_simulated_by_itself_a_model_gives_what_the_criterion_does():
     own = KnownSimulation(criterion.model, TS, substeps=4)
     y, _ = own.run(U[:, None], {"a": RATE, name: 0.3 * TS}, np.zeros((1, 1)))
     assert y == pytest.approx(criterion.simulate(x, 0)[0], abs=1e-12)
+
+
+@pytest.mark.parametrize(("longest", "left_out"), [(1.0, 51), (3.0, N // 4), (6.0, N // 4)])
+def test_a_lag_however_long_leaves_samples_to_fit(longest: float, left_out: int):
+    """Five times 6 s is the whole record of 30 s; a delay of unknown length counts to its end."""
+    model, _ = sensor_lag(washout(), "y", longest).extended(washout())
+    record = casid.Record({"u": U, "y": np.zeros(N)}, {"u": "1", "y": "1"}, Ts=TS)
+    criterion = SimulationError(model, [casid.Experiment(record, {}, "r")])
+    assert criterion.n_samples == N - left_out
