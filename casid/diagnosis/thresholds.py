@@ -808,6 +808,12 @@ class Foresight:
 class Judging:
     """What decides the verdict and its sentences."""
 
+    by_least_squares: float = _is(
+        0.5,
+        "of the fitted error, by which it may grow at most where least squares fits of a "
+        "disturbance what is no part of the model",
+        f"{TESTS}/search/test_simulation_errors.py",
+    )
     by_disturbance: float = _is(
         0.1,
         "by which the held-out error may grow where a disturbance is most of it, with or without "

@@ -163,7 +163,7 @@ class Soundness:
     """Whether a model simulates all that was measured, no worse than the model as it is.
 
     Every step of the search takes care of that by itself; after the last one it is made sure. The
-    error of the fitted part may grow by `JUDGING.by_disturbance`, as under a disturbance.
+    error of the fitted part may grow as under a disturbance (`growth_by_disturbance`).
     """
 
     def __init__(self, base: Fit, split: Split) -> None:
@@ -180,8 +180,33 @@ class Soundness:
         except SolveError:
             return False
         old, new = on_common_samples(self._base, errors)
-        most = (1 + JUDGING.by_disturbance) ** 2 * old.square
+        most = growth_by_disturbance(old.fitted, fit) * old.square
         return bool(np.isfinite(new.held_out_square) and new.square <= most)
+
+
+def growth_by_disturbance(errors: Array, fit: Fit) -> float:
+    """The factor by which a fit under a disturbance may leave more squares than least squares.
+
+    What least squares fits of a disturbance, its parameters have no part in: those that are right
+    lie in its confidence region, which reaches up to
+
+        S / S_LS = 1 + p / (n - p) F(p, n - p)                                                (1)
+
+    (Beale, J. R. Stat. Soc. B 22 (1960) 41-88), with n degrees of freedom of the errors that least
+    squares leaves; but no further than `JUDGING.by_least_squares`, and `JUDGING.by_disturbance` in
+    any case.
+
+    Parameters
+    ----------
+    errors : (M, ny) those of least squares.
+    fit : under the disturbance, with p unknowns.
+    """
+    unknowns = len(fit.x)
+    freedom = max(degrees_of_freedom(errors) - unknowns, 1.0)
+    chance = float(f_distribution.isf(FORESIGHT.p, unknowns, freedom))
+    reach = 1 + unknowns / freedom * chance
+    least, most = ((1 + share) ** 2 for share in (JUDGING.by_disturbance, JUDGING.by_least_squares))
+    return min(max(reach, least), most)
 
 
 def is_predicted(before: SimulationErrors, after: SimulationErrors) -> bool:
@@ -209,7 +234,8 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
     """Why an extension that was found under a disturbance is refused, or an empty text.
 
     The disturbance is most of the error of a simulation, with the effect or without: it may grow by
-    chance, but not by more than `JUDGING.by_disturbance`, in neither part. Where a disturbance
+    chance, that of the fitted part by `growth_by_disturbance`, and that of what was held out by
+    `JUDGING.by_disturbance`. Where a disturbance
     slower than the model counts for nothing, the simulation may leave what was measured.
     """
     units = before.criterion.weights
@@ -217,9 +243,10 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
     counts = ~np.isnan(fitted[0]) & ~np.isnan(fitted[1])
     held_out = [_held_out(f, split, units) for f in (before, after)]
     parts = {"fitted": [e[counts] for e in fitted], "held-out": held_out}
+    most = {"fitted": growth_by_disturbance(fitted[0], after)}
     for part, errors in parts.items():
         old, new = (float(np.nansum(e**2)) for e in errors)
-        if not new <= (1 + JUDGING.by_disturbance) ** 2 * old:
+        if not new <= most.get(part, (1 + JUDGING.by_disturbance) ** 2) * old:
             return f"it makes the {part} error much worse"
     return ""
 

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import casid
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     Soundness,
+    growth_by_disturbance,
     is_predicted,
     on_common_samples,
     simulation_errors,
     why_much_worse,
     why_not_adopted,
 )
-from casid.diagnosis.thresholds import FORESIGHT, ROUNDS
+from casid.diagnosis.thresholds import FORESIGHT, JUDGING, ROUNDS
 from casid.estimation.holdout import Split, degrees_of_freedom, split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation.minimization import Fit
@@ -165,6 +169,28 @@ def test_under_a_disturbance_neither_part_may_be_simulated_much_worse():
     fit, split = decay()
     assert why_much_worse(fit, moved(C_1=1 + 1e-6), split) == ""
     assert why_much_worse(fit, moved(C_1=1.02), split) == "it makes the fitted error much worse"
+
+
+def test_right_parameters_lie_as_far_from_least_squares_as_its_confidence_region_reaches():
+    """S / S_LS of a line through slow errors, of which there are some thirty in 3000 samples.
+
+    (1) of `growth_by_disturbance` counts every line of the spectrum alike, and slow errors have most
+    where a parabola has all: it is too little in one of thirty at most, and a tenth of the error,
+    whatever the record, in more than one of ten.
+    """
+    rng, N = np.random.default_rng(8), 3000
+    line = np.column_stack([np.ones(N), np.linspace(-1.0, 1.0, N), np.linspace(-1.0, 1.0, N) ** 2])
+    a = np.exp(-1 / 60)
+    fit: Any = SimpleNamespace(x=np.zeros(3))
+    ratios, bounds = [], []
+    for _ in range(200):
+        noise = lfilter([1.0], [1.0, -a], rng.standard_normal(N + 500))[500:]
+        left = noise - line @ np.linalg.lstsq(line, noise, rcond=None)[0]
+        ratios.append(np.sum(noise**2) / np.sum(left**2))
+        bounds.append(growth_by_disturbance(left[:, None], fit))
+    assert np.mean(np.array(ratios) > bounds) < 1 / 30
+    assert np.mean(np.array(ratios) > (1 + JUDGING.by_disturbance) ** 2) > 0.1
+    assert max(bounds) <= (1 + JUDGING.by_least_squares) ** 2
 
 
 def test_samples_that_a_late_sensor_leaves_out_of_the_fit_count_in_no_error():
