@@ -805,21 +805,27 @@ class Foresight:
 
 
 @dataclass(frozen=True, slots=True)
-class Judging:
-    """What decides the verdict and its sentences."""
+class Growth:
+    """By how much more a model may err that is fitted beside a disturbance than one that is not."""
 
+    by_chance: float = _is(
+        0.1,
+        "by which the held-out error may grow where a disturbance is most of it, with or without "
+        "the cause",
+        f"{TESTS}/search/test_disturbances.py",
+    )
     by_least_squares: float = _is(
         0.5,
         "of the fitted error, by which it may grow at most where least squares fits of a "
         "disturbance what is no part of the model",
         f"{TESTS}/search/test_simulation_errors.py",
     )
-    by_disturbance: float = _is(
-        0.1,
-        "by which the held-out error may grow where a disturbance is most of it, with or without "
-        "the cause",
-        f"{TESTS}/search/test_disturbances.py",
-    )
+
+
+@dataclass(frozen=True, slots=True)
+class Judging:
+    """What decides the verdict and its sentences."""
+
     doubtful: float = _is(
         0.15,
         "share of the excess misfit left, above which the one cause named is not the cause",
@@ -992,6 +998,7 @@ TERMS = Terms()
 DESCRIPTION = Description()
 SMOOTHING = Smoothing()
 FORESIGHT = Foresight()
+GROWTH = Growth()
 JUDGING = Judging()
 PLANNING = Planning()
 EXPERIMENTS = Experiments()
@@ -1021,6 +1028,7 @@ GROUPS = (
     DESCRIPTION,
     SMOOTHING,
     FORESIGHT,
+    GROWTH,
     JUDGING,
     PLANNING,
     EXPERIMENTS,

@@ -85,11 +85,12 @@ def weighed_against_disturbances(
         is_clean = not found.at.noise_absorbs_misfit
         if is_clean and _score(found.at, found.adopted, search) < nothing:
             return search, start, _charged(found, bare, search)  # likelier with no disturbance
-        own = weighing.weigh(found.fit.criterion.model, found.fit)
+        fit = found.fit
+        own = weighing.weigh(fit.criterion.model, fit)
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
-        is_foreseen = _predicts(found.fit, baseline)
+        is_foreseen = _predicts(fit, baseline)
         charged = found if is_foreseen else _charged(found, bare, search, beside)
         is_random = not is_foreseen and all(a.p_value >= search.alpha for a in charged.adopted)
         is_random |= not is_foreseen and nothing <= score and not is_more_than_noise(bare, again)

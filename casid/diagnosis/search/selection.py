@@ -203,7 +203,7 @@ class _Selection:
         """
         room = self.search.max_causes - len(self.adopted)
         lasting = [a for a in refused if not is_imitator(a.candidate)]
-        if room < 2 or not self.at.noise_absorbs_misfit:
+        if room < 2 or not lasting or not self.at.noise_absorbs_misfit or self._is_random():
             return False
         for first in lasting[: ROUNDS.pairs]:
             self.search.progress(
@@ -220,6 +220,16 @@ class _Selection:
                     ]
                     return True
         return False
+
+    def _is_random(self) -> bool:
+        """True if nothing but a random disturbance shows in what is left: no two effects then."""
+        weighing = self.search.weighing.with_disturbances()
+        beside = replace(self.search, weighing=weighing, tested=None)
+        what = "the test of the remainder beside a random disturbance"
+        at = self.search.attempts.attempt(
+            what, lambda: weighing.weigh(self.at.model, self.at.fit, rounds=1)
+        )
+        return at is not None and not is_more_than_noise(at, beside)
 
     def _with(self, first: Adopted) -> _Selection:
         """The selection as it would be with one more effect, whatever the errors say."""

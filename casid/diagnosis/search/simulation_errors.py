@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.thresholds import FORESIGHT, JUDGING, ROUNDS
+from casid.diagnosis.thresholds import FORESIGHT, GROWTH, ROUNDS
 from casid.errors import SolveError
 from casid.estimation.holdout import (
     Split,
@@ -193,7 +193,7 @@ def growth_by_disturbance(errors: Array, fit: Fit) -> float:
         S / S_LS = 1 + p / (n - p) F(p, n - p)                                                (1)
 
     (Beale, J. R. Stat. Soc. B 22 (1960) 41-88), with n degrees of freedom of the errors that least
-    squares leaves; but no further than `JUDGING.by_least_squares`, and `JUDGING.by_disturbance` in
+    squares leaves; but no further than `GROWTH.by_least_squares`, and `GROWTH.by_chance` in
     any case.
 
     Parameters
@@ -205,7 +205,7 @@ def growth_by_disturbance(errors: Array, fit: Fit) -> float:
     freedom = max(degrees_of_freedom(errors) - unknowns, 1.0)
     chance = float(f_distribution.isf(FORESIGHT.p, unknowns, freedom))
     reach = 1 + unknowns / freedom * chance
-    least, most = ((1 + share) ** 2 for share in (JUDGING.by_disturbance, JUDGING.by_least_squares))
+    least, most = ((1 + share) ** 2 for share in (GROWTH.by_chance, GROWTH.by_least_squares))
     return min(max(reach, least), most)
 
 
@@ -235,7 +235,7 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
 
     The disturbance is most of the error of a simulation, with the effect or without: it may grow by
     chance, that of the fitted part by `growth_by_disturbance`, and that of what was held out by
-    `JUDGING.by_disturbance`. Where a disturbance
+    `GROWTH.by_chance`. Where a disturbance
     slower than the model counts for nothing, the simulation may leave what was measured.
     """
     units = before.criterion.weights
@@ -246,7 +246,7 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
     most = {"fitted": growth_by_disturbance(fitted[0], after)}
     for part, errors in parts.items():
         old, new = (float(np.nansum(e**2)) for e in errors)
-        if not new <= most.get(part, (1 + JUDGING.by_disturbance) ** 2) * old:
+        if not new <= most.get(part, (1 + GROWTH.by_chance) ** 2) * old:
             return f"it makes the {part} error much worse"
     return ""
 

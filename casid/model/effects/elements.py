@@ -130,8 +130,8 @@ class _Elements:
     def _place(self, group: Sequence[_Part]) -> Place | None:
         """The place of a group of terms, None where they have no coordinate of their own."""
         coordinate = self._coordinate(group[0].shape)
-        states = self.model.states
-        if coordinate is None or any(n in states and states[n].is_added for n in coordinate):
+        known = self.model.states
+        if coordinate is None or any(n in known and known[n].is_added for n in coordinate):
             return None
         group = sorted(group, key=lambda r: self._rank_of(r.row, coordinate))
         owners = {self.own[r.row] for r in group} | {b.rate for b in self.model.balances.values()}

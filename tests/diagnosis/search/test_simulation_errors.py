@@ -22,7 +22,7 @@ from casid.diagnosis.search.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
-from casid.diagnosis.thresholds import FORESIGHT, JUDGING, ROUNDS
+from casid.diagnosis.thresholds import FORESIGHT, GROWTH, ROUNDS
 from casid.estimation.holdout import Split, degrees_of_freedom, split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation.minimization import Fit
@@ -174,9 +174,9 @@ def test_under_a_disturbance_neither_part_may_be_simulated_much_worse():
 def test_right_parameters_lie_as_far_from_least_squares_as_its_confidence_region_reaches():
     """S / S_LS of a line through slow errors, of which there are some thirty in 3000 samples.
 
-    (1) of `growth_by_disturbance` counts every line of the spectrum alike, and slow errors have most
-    where a parabola has all: it is too little in one of thirty at most, and a tenth of the error,
-    whatever the record, in more than one of ten.
+    (1) of `growth_by_disturbance` counts every line of the spectrum alike, and slow errors have
+    most where a parabola has all: it is too little in one of thirty at most, and a tenth of the
+    error, whatever the record, in more than one of ten.
     """
     rng, N = np.random.default_rng(8), 3000
     line = np.column_stack([np.ones(N), np.linspace(-1.0, 1.0, N), np.linspace(-1.0, 1.0, N) ** 2])
@@ -189,8 +189,8 @@ def test_right_parameters_lie_as_far_from_least_squares_as_its_confidence_region
         ratios.append(np.sum(noise**2) / np.sum(left**2))
         bounds.append(growth_by_disturbance(left[:, None], fit))
     assert np.mean(np.array(ratios) > bounds) < 1 / 30
-    assert np.mean(np.array(ratios) > (1 + JUDGING.by_disturbance) ** 2) > 0.1
-    assert max(bounds) <= (1 + JUDGING.by_least_squares) ** 2
+    assert np.mean(np.array(ratios) > (1 + GROWTH.by_chance) ** 2) > 0.1
+    assert max(bounds) <= (1 + GROWTH.by_least_squares) ** 2
 
 
 def test_samples_that_a_late_sensor_leaves_out_of_the_fit_count_in_no_error():
