@@ -19,8 +19,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.robust_errors import std_error, wald
 from casid.diagnosis.search.alternatives import TANGENTS, is_imitator
 from casid.diagnosis.search.candidates import (
@@ -41,6 +43,7 @@ from casid.diagnosis.search.simulation_errors import (
     simulation_errors,
     why_held_out,
 )
+from casid.diagnosis.search.swinging_parts import in_motion, is_swinging_from_rest
 from casid.diagnosis.thresholds import FRICTION, JUDGING, ROUNDS
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -158,6 +161,27 @@ class Refinement:
         """Other causes in the model, their fit and its errors."""
         placed, fit = self._with(causes, near)
         return placed, fit, simulation_errors(fit, self.split, self.units)
+
+    def in_motion(self, found: Adoption) -> Adoption:
+        """With the motion that the part adopted last has when a record begins, where it has one.
+
+        At rest it is no less a part. Free to begin anyhow, it imitates laws by its own decay while
+        they are missing.
+        """
+        last, fit = found.adopted[-1], found.fit
+        if fit is None or not is_swinging_from_rest(last.candidate.effect):
+            return found
+        what = name_of(last.candidate.effect)
+        self.search.progress(f"estimate how {what} moves when the record begins")
+        causes = [a.candidate for a in found.adopted]
+        causes[-1] = replace(causes[-1], effect=in_motion(self.start.model, causes[-1]))
+        placed, other = self._with(causes, fit)
+        adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
+        new = self._refined(found, adopted, other)
+        more = len(other.x) - len(fit.x)
+        price = 0.5 * more * float(np.log(other.criterion.n_samples))
+        gain = minus_log_likelihood(found.at) - minus_log_likelihood(new.at)
+        return new if gain > price else found
 
     def sharp(self, found: Adoption, most: int = FRICTION.in_the_end) -> Adoption:
         """With dry friction that reverses as sharply as the whole records show.

@@ -39,6 +39,7 @@ from casid.diagnosis.search.imitations import (
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import Start, preselected
+from casid.diagnosis.search.swinging_parts import beside_lines
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import COMPARISON, REFITS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
@@ -206,6 +207,7 @@ class Search:
             return found
         found = placed(refitting, at, found, events_of(adopted), self.progress)
         found = sharpened(refitting, at, found, self.progress)
+        found = beside_lines(refitting, at, found, self.progress)
         found = sorted(on_common_samples(found), key=lambda c: -c.merit)
         found = list({c.effect.key: c for c in reversed(found)}.values())[::-1]  # the best of each
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge

@@ -28,6 +28,7 @@ from casid.diagnosis.search.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
+from casid.diagnosis.search.swinging_parts import is_swinging_from_rest
 from casid.diagnosis.thresholds import COMPARISON, FRICTION, ROUNDS
 from casid.estimation.holdout import Split, why_worse
 from casid.estimation.local_rank import rank_of
@@ -52,6 +53,7 @@ def adopt_causes(
         state.exchange_last()
         if under is None:
             state.sharpen(refine)
+            state.set_in_motion(refine)
             state.exchange_for_prediction(refine)
     if not state.adopted:
         return Adoption((), at, None)
@@ -270,6 +272,12 @@ class _Selection:
         if self.adopted[-1].candidate.effect.kind == "coulomb_friction":
             sharp = partial(refine.sharp, self.found, FRICTION.samples)
             self._take(self.search.attempts.attempt(SHARPNESS, sharp))
+
+    def set_in_motion(self, refine: Refinement) -> None:
+        """Let a part that was adopted last move when a record begins."""
+        if is_swinging_from_rest(self.adopted[-1].candidate.effect):
+            what = "the motion of a further part when the record begins"
+            self._take(self.search.attempts.attempt(what, partial(refine.in_motion, self.found)))
 
     def _take(self, found: Adoption | None) -> None:
         """Go on from what was refined, if it was."""

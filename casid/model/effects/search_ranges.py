@@ -75,12 +75,8 @@ class MissingModes:
     upper: float = _is(3.0, "of its start, the highest frequency of an estimate", _STRUCTURE)
     damping: float = _is(0.05, "damping ratio that the search starts from", _STRUCTURE)
     least_damping: float = _is(0.001, "lower bound of the damping ratio", _STRUCTURE)
-    cost: int = _is(
-        5,
-        "parameters that it costs: an inertia, a searched frequency with its damping, and the "
-        "motion at the beginning",
-        _STRUCTURE,
-    )
+    cost: int = _is(3, "parameters that a searched frequency costs", _STRUCTURE)
+    cost_in_motion: int = _is(5, "the same where it moves when the record begins", _STRUCTURE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,14 +51,18 @@ def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
     return Effect("actuator_lag", channel, (p,), apply, sided="positive", limit=longest, priority=1)
 
 
-def missing_mode(model: Model, where: str | Place, omega: float) -> Effect:
+def missing_mode(model: Model, where: str | Place, omega: float, *, at_rest: bool = True) -> Effect:
     """A part that swings along: relative motion q of natural frequency `omega` [rad/s] at first.
 
         q'' + 2 zeta omega q' + omega^2 q = -dv/dt                                           (1)
 
     and J_m (omega^2 q + 2 zeta omega q') acts back: on the rate v of a balance, or on a relative
-    motion v between two bodies, in both. Without J_m nothing shows omega, zeta and the motion when
-    the record begins: they are then known, and estimated where the extension starts from a J_m.
+    motion v between two bodies, in both. Without J_m nothing shows omega and zeta: they are then
+    known, and estimated where the extension starts from a J_m.
+
+    Parameters
+    ----------
+    at_rest : before the record; else the motion when it begins is estimated as well.
 
     Raises
     ------
@@ -80,9 +84,9 @@ def missing_mode(model: Model, where: str | Place, omega: float) -> Effect:
     def apply(new: Model, names: Sequence[str]) -> None:
         J, w0, zeta = (new.symbol(n) for n in names)
         rate = place.velocity_unit
-        at_rest = 0.0 if is_null(new, names) else None
-        q = added_state(new, "q_m", unit_quotient(rate, "1/s", 1), initial=at_rest)
-        v = added_state(new, "v_m", rate, initial=at_rest)
+        initial = 0.0 if at_rest or is_null(new, names) else None
+        q = added_state(new, "q_m", unit_quotient(rate, "1/s", 1), initial=initial)
+        v = added_state(new, "v_m", rate, initial=initial)
         spring = w0**2 * q + 2 * zeta * w0 * v
         new.derivative(q, v)
         new.derivative(v, -spring - _change(new, place.velocity))
@@ -96,7 +100,7 @@ def missing_mode(model: Model, where: str | Place, omega: float) -> Effect:
         apply,
         sided="positive",
         variant=omega,
-        cost=MISSING_MODES.cost,
+        cost=MISSING_MODES.cost if at_rest else MISSING_MODES.cost_in_motion,
         priority=1,
         description=place.words,
         declared_units={"J_m": shown},
