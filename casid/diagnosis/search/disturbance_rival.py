@@ -13,6 +13,10 @@ on no state or input.
 A disturbance is another one in what was held out: it explains nothing that causes foresee there
 (`is_predicted`).
 
+Of several causes each is compared with a disturbance in its place beside the others: the first may
+be a law, and the next what the disturbance leaves of it. Where a disturbance is left, the extended
+model has it `beside`, and rivals are compared by the likelihoods there.
+
 The p of what was found under the sensors' noise alone is that of no disturbance at all: in a sea it
 is as small as the sea is large. No cause is therefore more significant than all of them are
 together against a disturbance in their place (Wilks 1938; Bonferroni over what was tested).
