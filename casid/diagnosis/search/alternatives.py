@@ -63,18 +63,24 @@ def ranked_by_remainder(
 
 
 def without_imitations(
-    found: Sequence[Candidate], significant: Sequence[Candidate]
+    found: Sequence[Candidate], significant: Sequence[Candidate], *, by_likelihood: bool = False
 ) -> list[Candidate]:
     """Those that may be causes where misfit passes for noise: no imitator of a better law.
 
     In a decay, time and amplitude go together, and what happens in time, or rings on its own,
     imitates whatever depends on amplitude. It must explain clearly more than the best significant
     law that does, and is no cause in the place of one that was refused for its errors.
+
+    Parameters
+    ----------
+    by_likelihood : beside a disturbance gains are likelihoods, and strong evidence is enough.
     """
     lasting = max((c.merit for c in significant if not is_imitator(c)), default=0.0)
-    return [
-        c for c in found if not is_imitator(c) or _merit_beside(significant, c) > max(lasting, 0.0)
-    ]
+
+    def beside(c: Candidate) -> float:
+        return c.merit - COMPARISON.strong if by_likelihood else _merit_beside(significant, c)
+
+    return [c for c in found if not is_imitator(c) or beside(c) > max(lasting, 0.0)]
 
 
 def laws_before_memory(order: Sequence[Candidate]) -> list[Candidate]:

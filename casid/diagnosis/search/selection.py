@@ -138,7 +138,8 @@ class _Selection:
         significant = [c for c in found if p_values[c.effect.key] < search.alpha]
         causes = found
         if search.misfit_passes_for_noise(at):
-            causes = without_imitations(found, significant)
+            beside = search.weighing.takes_disturbances
+            causes = without_imitations(found, significant, by_likelihood=beside)
         out = []
         for best in _named_first(at, causes):
             p = p_values[best.effect.key]

@@ -49,6 +49,17 @@ def test_a_jump_is_a_cause_if_it_explains_half_as_much_again_as_the_best_law(
     assert without_imitations(both, both) == (both if is_cause else [law])
 
 
+@pytest.mark.parametrize(("more", "is_cause"), [(-1.0, False), (1.0, True)])
+def test_beside_a_disturbance_strong_evidence_is_enough_for_a_jump(
+    more: float, is_cause: bool
+) -> None:
+    """Under its spectrum what is missing no longer passes for noise: gains are likelihoods."""
+    law, jump = judged(LAW, 100.0, 0.0), judged(JUMP, 100.0 + COMPARISON.strong + more, 0.0)
+    both = [law, jump]
+    found = without_imitations(both, both, by_likelihood=True)
+    assert found == (both if is_cause else [law])
+
+
 @pytest.mark.parametrize(("merit", "goes_first"), [(49.0, False), (51.0, True)])
 def test_a_law_goes_before_hysteresis_that_explains_less_than_twice_as_much(
     merit: float, goes_first: bool
