@@ -105,6 +105,7 @@ td code { background: none; padding: 0; }
 .lines { font-size: 14px; max-width: none; padding-left: 28px; }
 figure { margin: 16px 0; }
 .plot { width: 100%; overflow: hidden; }
+.plot .modebar .modebar-btn { min-width: 24px; min-height: 24px; }
 .plot .modebar-btn:focus-visible, .plot .legendtoggle:focus-visible {
   outline: 2px solid var(--link) !important; outline-offset: -2px; }
 .choice { display: block; font-size: 14px; }
