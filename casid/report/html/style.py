@@ -95,7 +95,7 @@ td code { background: none; padding: 0; }
 .status.cannot-be-rejected::before { background: #e69f00; }
 .status.rejected::before { background: #8a8a8a; }
 .status.not-significant::before { background: #cfcfcf; }
-.status.invisible::before { background: #fff; }
+.status.undetectable::before { background: #fff; }
 .equations { overflow-x: auto; margin: 12px 0; }
 .equations > div { margin: 10px 0; }
 .equations .name { display: inline-block; min-width: 9ch; margin-right: 12px; color: var(--soft); }
