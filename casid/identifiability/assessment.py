@@ -290,7 +290,7 @@ class Assessment(Presented, Saved):
         kept = len(self.parameters) - len(lost)
         return (
             f"{kept} of {len(self.parameters)} parameters {_are(kept)} identifiable; "
-            f"{shortened(lost)} {_are(len(lost))} not, whatever the data."
+            f"{shortened(lost)} {_are(len(lost))} structurally unidentifiable."
         )
 
     @property
