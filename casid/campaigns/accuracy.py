@@ -98,12 +98,12 @@ class Accuracy:
                 spreads = (
                     f"{abs(self.bias) / self.spread:.2g}" if self.spread else "infinitely many"
                 )
-                out.append(f"biased by {spreads} spreads")
+                out.append(f"biased by {spreads} standard deviations")
         if self.coverage is not None:  # binomial
             if bdtr(self.covered, self.intervals, 0.95) < _TAIL:
-                out.append("intervals cover too rarely")
+                out.append("95 % intervals contain the truth too rarely")
             if self.covered and bdtrc(self.covered - 1, self.intervals, 0.95) < _TAIL:
-                out.append("intervals cover too often")
+                out.append("95 % intervals contain the truth too often")
         if self.intervals < self.n:
             out.append(f"{self.n - self.intervals} runs without interval")
         return tuple(out)

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     help="Check the channels that this problem reads, in its units.",
 )
 @map_option("Column of a signal and its unit in the file; t=COLUMN names the time stamps.")
-@click.option("--window", metavar="START:STOP", help="Seconds of the record's own clock.")
+@click.option(
+    "--window", metavar="START:STOP", help="Check this part only, in seconds of the record's clock."
+)
 @click.option(
     "--resample", type=float, metavar="TS", help="Interpolate onto this sample time [s] first."
 )

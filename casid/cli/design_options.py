@@ -21,7 +21,7 @@ def _values(flag: str, what: str, metavar: str) -> Any:
 
 
 AIM_OPTIONS = (
-    click.option("--separate", metavar="A,B[,C]", help="Name the right one of these causes."),
+    click.option("--separate", metavar="A,B[,C]", help="Find out which of these causes acts."),
     click.option("--detect", metavar="KIND", help="Detect this cause; KIND@WHERE names its place."),
     click.option(
         "--estimate",
@@ -45,7 +45,7 @@ AIM_OPTIONS = (
     click.option(
         "--identifiable",
         is_flag=True,
-        help="The cheapest input with which every parameter is determined.",
+        help="Find the cheapest input that makes every parameter identifiable.",
     ),
     click.option(
         "--false-alarm-rate",
@@ -99,7 +99,7 @@ INPUT_OPTIONS = (
     _values("--noise", "Standard deviation of an output, in its unit.", "OUTPUT=SD"),
     _values(
         "--size",
-        "Value of a cause's first parameter, SI; again for each that it may have.",
+        "A value that a cause's first parameter may have, in SI units; several: the worst counts.",
         "KIND[@WHERE]=VALUE",
     ),
     click.option(
@@ -136,7 +136,7 @@ INPUT_OPTIONS = (
         type=click.IntRange(min=1),
         metavar="N",
         help="Number of the best standard inputs from which the optimisation starts. Default "
-        f"{DESIGN.starts}, and up to {STARTING.most} for inputs of few intervals.",
+        f"{DESIGN.starts}, and up to {STARTING.most} for inputs with few intervals.",
     ),
     click.option(
         "--seconds",
@@ -151,15 +151,15 @@ INPUT_OPTIONS = (
         type=click.IntRange(min=0),
         default=0,
         metavar="N",
-        help="Check the predicted power: diagnose N simulated records of each truth, and fit truth "
-        "and rival to them.",
+        help="Check the predicted power: simulate N records for each cause, diagnose them, and "
+        "fit the true cause and its rival to them.",
     ),
     click.option(
         "--verify-by",
         type=click.Choice(["diagnoses", "fits"]),
         default="diagnoses",
         show_default=True,
-        help="Of --verify: whole diagnoses and fits, or fits alone, which is faster.",
+        help="Whether --verify runs diagnoses and fits, or fits alone, which is faster.",
     ),
 )
 

@@ -40,7 +40,7 @@ from casid.errors import DataError
     "--pade",
     type=int,
     metavar="ORDER",
-    help="Pade approximation of delays in a state space, which has none.",
+    help="Order of the Pade approximation that replaces delays in a state space.",
 )
 @click.option(
     "--without-delays",

@@ -132,7 +132,9 @@ class _Engine:
 @click.argument("problem", type=click.Path())
 @click.argument("records", nargs=-1, required=True)
 @map_option("Column of a signal, and its unit in the files, as in phi=roll:deg.")
-@click.option("--window", metavar="START:STOP", help="Seconds of each record's own clock.")
+@click.option(
+    "--window", metavar="START:STOP", help="Use this part of each record, in seconds of its clock."
+)
 @click.option(
     "--hold-out",
     type=click.FloatRange(0.0, 1.0, max_open=True),
@@ -145,15 +147,17 @@ class _Engine:
     "--ignore",
     multiple=True,
     metavar="COLUMN",
-    help="Leave out a column that the problem does not use; the others are tested as missing "
-    "inputs. Repeatable.",
+    help="Do not test this column as a missing input; every other column that the problem does "
+    "not use is tested. Repeatable.",
 )
 @options(
     SET_OPTION,
     *FLEET_OPTIONS,
     *ENGINE_OPTIONS,
     seed_option("Seed of the random starts."),
-    *folder_options("reports/<problem>-fleet", "Start again in the folder of another fleet."),
+    *folder_options(
+        "reports/<problem>-fleet", "Discard the results in the folder and start again."
+    ),
     *OUTPUT_OPTIONS,
 )
 def fleet(problem: str, records: tuple[str, ...], **given: Any) -> None:

@@ -25,8 +25,8 @@ ASSUMPTION_OPTIONS = (
         default=1,
         show_default=True,
         metavar="N",
-        help="Every experiment is repeated N times, from other initial states and with other "
-        "inputs.",
+        help="Every experiment is repeated N times, from different initial states "
+        "and with different inputs.",
     ),
     click.option(
         "--shared-input",
@@ -40,8 +40,8 @@ ASSUMPTION_OPTIONS = (
         "--known-initial",
         multiple=True,
         metavar="X[=VALUE],...",
-        help="States whose initial value is known: any number, or the value given, which may be a "
-        "special one.",
+        help="States whose initial value is known. Without VALUE it is treated as an arbitrary "
+        "number; state the value where it matters, such as 0.",
     ),
     click.option(
         "--known",
@@ -53,8 +53,8 @@ ASSUMPTION_OPTIONS = (
         "--at",
         multiple=True,
         metavar="NAME=VALUE",
-        help="Answer for this value of a parameter (in its declared unit; it may be a special one) "
-        "instead of for almost every value. Repeatable.",
+        help="Analyse the model at this value of a parameter, in its declared unit; by default the "
+        "answer holds for almost every value, but perhaps not for this one. Repeatable.",
     ),
     click.option(
         "--generic",
@@ -85,7 +85,8 @@ QUESTION_OPTIONS = (
     click.option(
         "--structural",
         is_flag=True,
-        help="Only the rank and what follows from it: no closed forms, no expected errors.",
+        help="Only the rank and what follows from it: no closed forms, no expected "
+        "standard errors.",
     ),
     click.option(
         "--time-limit",

@@ -36,7 +36,7 @@ from casid.errors import DataError
     *OUTPUT_OPTIONS,
 )
 def investigate(problem: str, **given: Any) -> None:
-    """Diagnose the records at hand and, where causes are tied, design the record that decides.
+    """Diagnose the records; where causes cannot be separated, design the experiment that does.
 
     Record the designed experiment, and run the command again with all records, the new one last,
     until the causes are separated. Without DATA the problem simulates its own example. Writes

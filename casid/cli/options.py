@@ -36,8 +36,8 @@ DATA_OPTIONS = (
     click.option(
         "--window",
         metavar="START:STOP",
-        help="Seconds of the record's own clock, as in 27:91; run.csv@12:194 sets the window of "
-        "one file.",
+        help="Use this part of the record only, in seconds of its own clock, as in 27:91; "
+        "run.csv@12:194 sets the window of one file.",
     ),
     click.option(
         "--resample",
@@ -49,16 +49,18 @@ DATA_OPTIONS = (
         "--lowpass",
         type=float,
         metavar="HZ",
-        help="Low-pass filter all channels alike (zero phase); done first.",
+        help="Low-pass filter all channels alike (zero phase); the first step of three.",
     ),
     click.option(
         "--decimate",
         type=click.IntRange(min=1),
         default=1,
         metavar="N",
-        help="Keep every N-th sample after an anti-alias filter; done second.",
+        help="Keep every N-th sample after an anti-alias filter; the second step.",
     ),
-    click.option("--detrend", is_flag=True, help="Subtract the mean of every channel; done last."),
+    click.option(
+        "--detrend", is_flag=True, help="Subtract the mean of every channel; the last step."
+    ),
     *READING_OPTIONS,
 )
 """Where records come from, and how they are prepared."""
@@ -194,6 +196,6 @@ def hold_out_option(default: str) -> Callable[[Callable[..., None]], Callable[..
         default=(default,),
         metavar="FILE|SHARE",
         help="Not fitted: this share at the end of every record (0: fit everything), or a file. "
-        "A file is simulated on its own and may carry a load case and a window; --window is not "
-        f"for it. Default {default}.",
+        "A file is simulated on its own and may carry a load case and a window; --window does not "
+        f"apply to it. Default {default}.",
     )

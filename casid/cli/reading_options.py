@@ -56,8 +56,8 @@ READING_OPTIONS = (
         "--ignore",
         multiple=True,
         metavar="COLUMN",
-        help="Leave out a column that the problem does not use; a diagnosis tests the others as "
-        "missing inputs. Repeatable.",
+        help="Leave out this column, which the problem does not use; a diagnosis tests every other "
+        "unused column as a missing input. Repeatable.",
     ),
 )
 """How a file is written, and what is read from it."""

@@ -43,7 +43,11 @@ if TYPE_CHECKING:
     help="A parameter, in its declared unit. Repeatable.",
 )
 @map_option("Column of an input, and its unit; t=COLUMN names the time stamps.")
-@click.option("--window", metavar="START:STOP", help="Seconds of the file's own clock, as 27:91.")
+@click.option(
+    "--window",
+    metavar="START:STOP",
+    help="Use this part only, in seconds of the file's clock: 27:91.",
+)
 @click.option(
     "--resample",
     type=float,

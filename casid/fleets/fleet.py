@@ -60,8 +60,8 @@ ASSUMPTIONS = (
     "Both: each record's p is valid, which is what the diagnosis of one record assumes (noise that "
     "is stationary after whitening, with a short correlation time). A record that is not searched, "
     "or without an adopted cause, counts with p = 1.",
-    "The rate is that of records: the share, expected, of those called deficient that lack "
-    "nothing. A finding is made of such records.",
+    "The false discovery rate is the expected share of adequate records among those called "
+    "deficient. It is a rate of records, not of findings, which consist of several records.",
 )
 """What the rates over a fleet assume."""
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "casid.identifiability/1"
 
-ELIMINATED_ZERO = "zero, so that what replaces it is a function of the states"
+ELIMINATED_ZERO = "zero: the sensor that replaces it then depends on the states alone"
 """Label in `Assessment.by_excitation` of eliminated unknown inputs that are zero."""
 
 Verdict = Literal["identifiable", "not_identifiable", "unknown"]
@@ -290,7 +290,7 @@ class Assessment(Presented, Saved):
         kept = len(self.parameters) - len(lost)
         return (
             f"{kept} of {len(self.parameters)} parameters {_are(kept)} identifiable; "
-            f"{shortened(lost)} {_are(len(lost))} not, whatever the data."
+            f"{shortened(lost)} {_are(len(lost))} structurally unidentifiable."
         )
 
     @property

@@ -137,8 +137,8 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
         )
     if e.fit.untold:
         yield (
-            f"{', '.join(e.fit.untold)}: too few samples to tell whether the rest is noise. The "
-            "error bars hold only if the model is right.",
+            f"{', '.join(e.fit.untold)}: too few samples to test whether the residual is white. "
+            "The error bars hold only if the model is right.",
             "Record more samples, or compare the estimates of several records.",
         )
     bound = [p.name for p in e.parameters if "bound" in p.note]

@@ -40,7 +40,18 @@ def sections(app: Any, what: str, name: str, obj: Any, options: Any, lines: list
     lines[:] = out
 
 
+def signature(
+    app: Any, what: str, name: str, obj: Any, options: Any, arguments: str | None, returned: str
+) -> tuple[str | None, str]:
+    """Defaults of dataclasses that a function makes, as Python can read them.
+
+    A signature that cannot be read as Python is shown with the full path of every type in it.
+    """
+    return arguments and arguments.replace("<factory>", "..."), returned
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Run before napoleon, which connects to the same event."""
     app.connect("autodoc-process-docstring", sections, priority=400)
+    app.connect("autodoc-process-signature", signature)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -6,6 +6,7 @@ returned is used where a function that returns it is called.
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,6 +35,30 @@ def pages_by_name(docs: Path) -> Mapping[str, list[str]]:
         pages = sorted((p for p in counts if counts[p]), key=lambda p: -counts[p])
         found[name] = [p.relative_to(docs).with_suffix("").as_posix() for p in pages[:_MOST]]
     return found
+
+
+def members_without(docs: Path, *classes: type) -> tuple[list[str], list[str]]:
+    """Public methods and properties of classes that the reference omits, and that no code uses.
+
+    Old names, which warn and lead to the new ones, need neither.
+    """
+    reference = "".join(p.read_text(encoding="utf-8") for p in (docs / "reference").glob("*.md"))
+    code = "\n".join(map(_code, docs.rglob("*.md")))
+    unlisted, unused = [], []
+    for kind in classes:
+        entry = re.search(rf"autoclass:: casid\.{kind.__name__}\n((?: +:.*\n)*)", reference)
+        options = entry[1] if entry else ""
+        for name, member in inspect.getmembers(kind):
+            if name.startswith("_") or not (callable(member) or isinstance(member, property)):
+                continue
+            if (inspect.getdoc(member) or "").startswith("Old name of"):
+                continue
+            inherited = name not in vars(kind) and ":inherited-members:" not in options
+            if ":members:" not in options or inherited:
+                unlisted.append(f"{kind.__name__}.{name}")
+            if not re.search(rf"\.{name}\b", code):
+                unused.append(f"{kind.__name__}.{name}")
+    return unlisted, unused
 
 
 def _code(path: Path) -> str:

@@ -82,8 +82,9 @@ def test_coverage_has_the_binomial_interval_of_wilson() -> None:
     assert p.coverage == 0.8
     assert p.coverage_interval == pytest.approx((0.4902, 0.9433), abs=1e-4)
     assert p.remarks == ()  # 8.6 % of the studies of ten runs that keep 95 %: no more than chance
-    assert "intervals cover too rarely" in replace(p, covered=5).remarks  # 6e-5
-    assert "intervals cover too often" in replace(p, n=200, intervals=200, covered=200).remarks
+    assert "95 % intervals contain the truth too rarely" in replace(p, covered=5).remarks  # 6e-5
+    always = replace(p, n=200, intervals=200, covered=200)
+    assert "95 % intervals contain the truth too often" in always.remarks
     assert replace(p, truth=None, covered=0).coverage_interval is None
 
 
@@ -109,8 +110,8 @@ def test_accuracy_is_what_its_definitions_say() -> None:
     assert k.spread == pytest.approx(0.5, rel=4 / np.sqrt(800))
     assert (k.mean_std_error, k.intervals, k.covered) == (0.25, 300, 0)
     assert [re.sub(r"[\d.]+", "#", r) for r in k.remarks] == [
-        "biased by # spreads",
-        "intervals cover too rarely",
+        "biased by # standard deviations",
+        "# % intervals contain the truth too rarely",
         "# runs without interval",
     ]
     assert d.coverage == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / n))
@@ -127,7 +128,7 @@ def test_chance_alone_is_called_bias_as_rarely_for_few_runs_as_for_many(n: int) 
         called += any("biased" in r for r in p.remarks)
     assert abs(called - 0.0027 * draws) < 4 * np.sqrt(0.0027 * draws)
     surely = Accuracy("k", "1", 10.0, n, 11.0, 0.0, 1.0, n, n)  # a simulator without noise
-    assert "biased by infinitely many spreads" in surely.remarks
+    assert "biased by infinitely many standard deviations" in surely.remarks
 
 
 def test_a_printed_study_fits_into_100_columns() -> None:

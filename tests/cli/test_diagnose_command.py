@@ -91,7 +91,7 @@ def test_a_calibration_from_the_command_line_stands_in_the_json() -> None:
     d = answer("plain.csv", "--calibrate", "3", "--jobs", "1")
     assert d["calibration"]["runs"] == 3
     assert d["calibration"]["threshold"] == 0.05
-    assert "3 null records drawn like this one" in d["calibration"]["sentence"]
+    assert "3 null records (this one simulated" in d["calibration"]["sentence"]
 
 
 @pytest.mark.slow

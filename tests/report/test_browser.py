@@ -163,6 +163,32 @@ def test_the_keyboard_chooses_the_record_and_hides_a_curve(tmp_path):
     assert re.findall(r"<option>([^<]*)</option>", dom)[:2] == ["swing-07", "swing-08"]
 
 
+SIZES = """<script>window.addEventListener("load", function () {
+  var waiting = setInterval(function () {
+    var buttons = Array.from(document.querySelectorAll(".plot .modebar-btn"));
+    if (!buttons.length) { return; }
+    clearInterval(waiting);
+    var sides = buttons.map(function (b) {
+      var box = b.getBoundingClientRect();
+      return Math.min(box.width, box.height);
+    });
+    document.title = "SIDES " + Math.min.apply(null, sides);
+  }, 50);
+});</script>"""
+
+
+@in_browser
+def test_the_buttons_of_a_figure_are_large_enough_to_hit(rich, tmp_path):
+    """At least 24 pixels wide and high (WCAG 2.2, 2.5.8)."""
+    path = tmp_path / "page.html"
+    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", rich, count=1)
+    path.write_text(page.replace("</body></html>", SIZES + "</body></html>"), encoding="utf-8")
+    dom, _ = browse(path, tmp_path, "--window-size=1280,2000", "--dump-dom")
+    seen = re.search(r"<title>SIDES ([\d.]+)</title>", dom)
+    assert seen, "no figure has buttons"
+    assert float(seen[1]) >= 24
+
+
 @in_browser
 @pytest.mark.parametrize("name", ["rich", "hostile", "others"])
 def test_nothing_makes_the_page_scroll_sideways(name, request, tmp_path):

@@ -41,4 +41,4 @@ def test_two_causes_of_a_single_record_are_found_once() -> None:
     """The first fleet that a user makes: one record."""
     found = findings_of({"ship": [outcome(0, OFFSET, BIAS)]})
     banner = _banner(SimpleNamespace(findings=found, assets=("ship",)))
-    assert banner.sentence.startswith("2 causes show in a single record")
+    assert banner.sentence.startswith("2 causes appear in a single record")

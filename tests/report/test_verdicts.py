@@ -81,7 +81,7 @@ def test_of_few_samples_nobody_says_that_their_residual_is_white():
     said = {"cup": f"whiteness: 0 of 14 lags outside 95 % ({TOO_FEW})"}
     judged = judged_estimate(replace(good(), fit=Agreement(good().rmse, good().nrmse_fit, said)))
     assert judged.word == "use with care"
-    assert "cup: too few samples to tell whether the rest is noise" in judged.sentence
+    assert "cup: too few samples to test whether the residual is white" in judged.sentence
     assert "white noise" not in judged.sentence
     assert "several records" in judged.advice
 

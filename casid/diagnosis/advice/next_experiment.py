@@ -296,8 +296,8 @@ def _sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Proposal])
         text += f", where the same experiment would need {_seconds(now.record_length)}"
     if best.gain_factor > PLANNING.notable:
         size = best.gain_factor**-0.5  # the energy grows with its square
-        smaller = f"causes of {size:.2g} times the size" if size else "far smaller causes"
-        text += f"; it would separate {smaller}, too"
+        smaller = f"causes {size:.2g} times as large" if size else "far smaller causes"
+        text += f"; it would also separate {smaller}"
     return text + "."
 
 

@@ -164,14 +164,14 @@ class Calibration(Presented):
         """What was found, in words."""
         low, high = (100 * x for x in self.interval)
         text = (
-            f"Of {self.runs} null records drawn like this one, {int(np.sum(self.alarms))} "
-            f"({100 * self.rate:.3g} %, 95 % interval {low:.2g} to {high:.2g} %) were called "
-            f"deficient at the family-wise level of {100 * self.alpha:g} % requested"
+            f"Of {self.runs} null records (this one simulated with the fitted model), "
+            f"{int(np.sum(self.alarms))} ({100 * self.rate:.3g} %, 95 % interval {low:.2g} to "
+            f"{high:.2g} %) were called deficient, where {100 * self.alpha:g} % was requested"
         )
         if not self._rank:
             needed = math.ceil(1 / self.alpha - 1e-9) - 1
             return (
-                f"{text}; the threshold is unchanged, for correcting it needs at least {needed} "
+                f"{text}; the threshold is unchanged, since correcting it needs at least {needed} "
                 "null records"
             )
         if self.is_corrected:
@@ -185,7 +185,7 @@ class Calibration(Presented):
         if self.is_interrupted:
             out.append(f"interrupted: {self.runs} of {self.requested} null records were done")
         if self.undecided:
-            out.append(f"{self.undecided} null records were undecided, which is no alarm")
+            out.append(f"undecided null records, not counted as alarms: {self.undecided}")
         out += [f"{n} null records failed: {message}" for message, n in self.failures.items()]
         return tuple(out)
 

@@ -264,7 +264,7 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
     return f" Including {what} raises the RMS error of {', '.join(raised)}." if raised else ""
 
 
-_OPEN = "one of these is missing, which this record does not separate: "
+_OPEN = "one of these is missing, and this record does not separate them: "
 
 
 def _joined(said: Sequence[str]) -> str:

@@ -37,8 +37,14 @@ SOURCES = {
 }
 """Papers behind an interval, by its kind."""
 
-_TESTED = "normal, the estimate +- 1.96 standard errors: the criterion rises as a parabola does"
-_UNTESTED = "normal, the estimate +- 1.96 standard errors; whether that is right was not tested"
+_TESTED = (
+    "normal, the estimate +- 1.96 standard errors; tested: the criterion is quadratic that far "
+    "from its minimum"
+)
+_UNTESTED = (
+    "normal, the estimate +- 1.96 standard errors; whether the criterion is quadratic that far was "
+    "not tested"
+)
 _PROFILE = (
     "what the criterion cannot reject with the other unknowns refitted, its rise scaled so that it "
     "agrees with the standard error where it is a parabola; noise as the standard errors assume it"

@@ -26,9 +26,9 @@ LARGEST_RELATIVE = 0.3
 """Standard error over value above which a parameter is called poorly determined (a convention)."""
 
 ASSUMES = (
-    "white Gaussian noise of the stated standard deviation on each output, exact inputs, the model "
-    "true, small errors around the stated values (Cramer-Rao bound); coloured noise, noise on "
-    "measured inputs and a wrong model make the errors larger"
+    "white Gaussian noise of the stated standard deviation on each output, exact inputs, a "
+    "correct model, small errors around the stated values (Cramer-Rao bound); coloured noise, "
+    "noise on measured inputs and a wrong model make the errors larger"
 )
 SOURCES = (
     "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, section 7.4: Cramer-Rao bound",
@@ -96,7 +96,7 @@ class Direction:
         moves = ", ".join(f"{n} {100 * v:+.3g} %" for n, v in self.moves.items())
         if math.isinf(self.error):
             return f"{moves}: moves no output"
-        return f"{moves}: one standard error"
+        return f"{moves}, by one standard error of this combination"
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

@@ -14,8 +14,8 @@ from casid.presentation import Viewed, present
 Kind = Literal["identifiable", "practically non-identifiable", "flat"]
 
 ASSUMES = (
-    "white Gaussian noise of the stated standard deviation on each output, exact inputs, the model "
-    "true; the deviance is then chi squared with one degree of freedom in large records"
+    "white Gaussian noise of the stated standard deviation on each output, exact inputs, a "
+    "correct model; the deviance is then chi squared with one degree of freedom in large records"
 )
 SOURCES = (
     "A. Raue et al., Bioinformatics 25 (2009) 1923-1929: profile likelihood, structural and "
@@ -107,7 +107,7 @@ class Profiles(Viewed):
                 + (f" ({p.note})" if p.note else "")
             )
         lines += [f"  noise  {n} {sd:.3g} ({self.noise_source[n]})" for n, sd in self.noise.items()]
-        lines.append(f"  What the interval assumes: {self.assumes}")
+        lines.append(f"  The interval assumes {self.assumes}")
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:

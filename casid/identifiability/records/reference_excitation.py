@@ -176,8 +176,8 @@ def record_excitation(
     note = ""
     if split is not None and at is None and p.criterion.names:
         note = (
-            f"{' and '.join(split.unknown)} was reconstructed at the start values, and their "
-            "errors look like an input: give an estimate, at=casid.identify(...)"
+            f"{' and '.join(split.unknown)} was reconstructed with the start values, whose "
+            "errors appear in it as an input: pass an estimate, at=casid.identify(...)"
         )
     out = []
     for e, experiment in enumerate(p.criterion.experiments):

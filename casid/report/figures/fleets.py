@@ -76,7 +76,7 @@ def cause_figure(fleet: Fleet) -> Any:
         hovertemplate="%{y}<br>from %{x}: %{z:.0%} of its records<extra></extra>",
     )
     figure.figure.update_yaxes(autorange="reversed", type="category")
-    figure.label(0, x="time" if fleet.is_dated else "time, as the records have it")
+    figure.label(0, x="time" if fleet.is_dated else "time or order of the records")
     figure.figure.update_layout(showlegend=False)
     figure.ticks = 4
     more = f" The first {_ROWS} of {len(rows)}." if len(rows) > _ROWS else ""

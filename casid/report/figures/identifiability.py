@@ -75,9 +75,9 @@ def error_figure(practical: Practical, assessment: Assessment) -> Any:
     figure.add_vline(x=100 * practical.largest_relative, line_dash="dash", line_color=MEASURED)
     lost = len(assessment.answer.not_identifiable)
     caption = (
-        f"What {visible_text(', '.join(practical.records))} determine: expected standard errors "
-        f"relative to the values; beyond the dashed line ({100 * practical.largest_relative:g} %) "
-        "a parameter is poorly determined, and a bar to the right edge is not seen at all."
+        f"Expected standard errors with {visible_text(', '.join(practical.records))}, "
+        f"relative to the values. Beyond the dashed line ({100 * practical.largest_relative:g} %) "
+        "a parameter is poorly determined; a bar up to the right edge has an infinite error."
     )
     if lost:
         caption += f" {lost} of the parameters are structurally unidentifiable."
@@ -108,7 +108,7 @@ def correlation_figure(practical: Practical) -> Any:
     )
     panel.figure.update_yaxes(autorange="reversed")
     return panel.done(
-        "Correlation of the expected errors: a pair near +1 or -1 is found in combination, not "
-        "one by one. Parameters that are not seen are left out.",
+        "Correlation of the expected errors: of a pair near +1 or -1 only a combination is "
+        "determined. Parameters with an infinite error are left out.",
         (),
     )

@@ -34,8 +34,8 @@ def moved_figure(moved: Sequence[Moved], problem: str) -> Any:
         figure.figure.update_yaxes(ticktext=[figure_text(m.name, 16) + unit], row=k + 1, col=1)
     caption = (
         f"Parameters of {visible_text(problem)} that moved when the causes were named, each in its "
-        "own unit, with 95 % intervals. An interval before takes the model without the causes for "
-        "true: it does not hold the bias."
+        "own unit, with 95 % intervals. Intervals before the extension assume the model without "
+        "the causes, so they do not include the bias that this caused."
     )
     if len(moved) > len(shown):
         caption += f" The first {len(shown)} of {len(moved)}."

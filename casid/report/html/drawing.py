@@ -182,10 +182,19 @@ DRAW = """
     }
   }
   function every(run) { document.querySelectorAll(".plot").forEach(run); }
+  function gradually() {  // one figure at a time: the first is seen before the next is drawn
+    var waiting = Array.prototype.find.call(document.querySelectorAll(".plot"), function (place) {
+      return !place.dataset.state && !place.closest("details:not([open])");
+    });
+    if (waiting) {
+      attempt(waiting);
+      setTimeout(gradually);
+    }
+  }
   function begin() {
-    every(attempt);
+    gradually();
     document.querySelectorAll("details").forEach(function (d) {
-      d.addEventListener("toggle", function () { every(attempt); });
+      d.addEventListener("toggle", gradually);
     });
     window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", function () {
       retint(palette());
@@ -229,7 +238,8 @@ DRAW = """
     });
   }
   function unpack(text) {
-    var bytes = Uint8Array.from(atob(text), function (c) { return c.charCodeAt(0); });
+    var packed = atob(text), bytes = new Uint8Array(packed.length);
+    for (var i = 0; i < packed.length; i++) { bytes[i] = packed.charCodeAt(i); }
     var stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
     return new Response(stream).text();
   }

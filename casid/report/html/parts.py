@@ -30,7 +30,7 @@ from casid.report.document import (
 from casid.report.figures.style import visible_text
 from casid.report.html.markup import Html, element, join, safe
 
-_STATUSES = ("named", "cannot be rejected", "rejected", "not significant", "invisible")
+_STATUSES = ("named", "cannot be rejected", "rejected", "not significant", "undetectable")
 
 
 class Renderer(ABC):

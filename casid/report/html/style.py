@@ -95,7 +95,7 @@ td code { background: none; padding: 0; }
 .status.cannot-be-rejected::before { background: #e69f00; }
 .status.rejected::before { background: #8a8a8a; }
 .status.not-significant::before { background: #cfcfcf; }
-.status.invisible::before { background: #fff; }
+.status.undetectable::before { background: #fff; }
 .equations { overflow-x: auto; margin: 12px 0; }
 .equations > div { margin: 10px 0; }
 .equations .name { display: inline-block; min-width: 9ch; margin-right: 12px; color: var(--soft); }
@@ -105,6 +105,7 @@ td code { background: none; padding: 0; }
 .lines { font-size: 14px; max-width: none; padding-left: 28px; }
 figure { margin: 16px 0; }
 .plot { width: 100%; overflow: hidden; }
+.plot .modebar .modebar-btn { min-width: 24px; min-height: 24px; }
 .plot .modebar-btn:focus-visible, .plot .legendtoggle:focus-visible {
   outline: 2px solid var(--link) !important; outline-offset: -2px; }
 .choice { display: block; font-size: 14px; }

@@ -133,7 +133,7 @@ def _candidates(rows: Sequence[Ranked], facts: Facts, caption: str) -> Table:
                 effect_in_words(r.kind, r.where),
                 p_text(facts.p_value(r.kind, r.where)),
                 "\u2013" if r.gain is None else number_text(r.gain),
-                Status(r.status),
+                Status("undetectable" if r.status == "invisible" else r.status),
                 r.why,
             )
             for r in rows

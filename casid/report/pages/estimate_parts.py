@@ -81,7 +81,7 @@ def evidence_table(estimates: Mapping[str, Estimate]) -> Table:
             "starts": f"{e.starts_agreeing} of {e.starts_tried} agree",
             "identifiable": f"{seen} (rank {i.rank} of {i.unknowns} at the estimate, smallest "
             f"singular value {i.smallest_singular_value:.2g}, scaled)",
-            **({"whatever the data": i.structural} if i.structural else {}),
+            **({"structurally": i.structural} if i.structural else {}),
         }
         residuals = {f"residual of {k}": v for k, v in e.whiteness.items()}
         columns.append(facts | dict(e.evidence) | residuals)

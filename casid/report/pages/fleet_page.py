@@ -123,9 +123,9 @@ def _banner(fleet: Fleet) -> Banner:
     if latest:
         first = latest[0]
         sentence = (
-            f"{_many(len(latest), 'cause shows', 'causes show')} in a single record, the strongest "
-            f"is {effect_words(*first.key)} of {first.asset}; further records of the asset decide "
-            "whether it lasts."
+            f"{_many(len(latest), 'cause appears', 'causes appear')} in a single record, the "
+            f"strongest is {effect_words(*first.key)} of {first.asset}; further records of the "
+            "asset decide whether it lasts."
         )
         return Banner("not confirmed", "found once", sentence, "undecided")
     if fleet.findings:
@@ -146,7 +146,7 @@ def _findings(fleet: Fleet, shown: Sequence[Finding]) -> Table:
         words = (re.sub(r"(\d{4})-(\d\d)-(\d\d)", "\\1\u2011\\2\u2011\\3", c) for c in rest)
         rows.append((asset, *words, _size(f), _also(f), _named(f, names)))
     return Table(
-        (*FINDING_HEAD, "size", "it may also be", "records, as in"),
+        (*FINDING_HEAD, "size", "it may also be", "example"),
         rows,
         numbers=(3, 4),
         caption="Causes by asset: those still there first, then those of most records",

@@ -48,7 +48,7 @@ def assessment_report(assessment: Assessment) -> Document:
         "States": [_states(a)],
         "Unknown inputs": _classes(a),
         "Poorer excitation": [
-            _answers("Ranks with known inputs that do less than they could", a.by_excitation)
+            _answers("Rank if known inputs are zero or constant", a.by_excitation)
         ],
         "What these records give": [
             figure("errors"),
@@ -273,7 +273,7 @@ def _practical(a: Assessment) -> list[Part]:
     return [
         practical_table(p),
         Bullets([f"weakest: {d}" for d in p.weakest[:3]]),
-        f"What the error bar assumes: {p.assumes}.",
+        f"The error bars assume {p.assumes}.",
     ]
 
 

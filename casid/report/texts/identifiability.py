@@ -39,7 +39,7 @@ def practical_document(found: Practical) -> Document:
             "Give noise={output: standard deviation} to have them judged"
         )
         parts.append(("noise", text))
-    parts.append(f"  What the error bar assumes: {found.assumes}")
+    parts.append(f"  The error bars assume {found.assumes}")
     return Document(
         f"Practical identifiability of {found.problem} from {', '.join(found.records)} "
         f"({found.samples} samples)",

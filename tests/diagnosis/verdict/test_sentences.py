@@ -34,7 +34,7 @@ def test_what_a_record_does_not_separate_is_said_once_for_several_causes():
     one = small().causes[0]
     assert one.tied
     text = verdict_sentence("deficient", [one, one], {}, "", pendulum.problem)
-    assert text.startswith("One of these is missing, which this record does not separate: ")
+    assert text.startswith("One of these is missing, and this record does not separate them: ")
     assert text.count("this record does not separate") == 1
     assert "; and one of these: " in text
 
@@ -111,7 +111,7 @@ def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibratio
     assert f"{rival}: explains as much" in text
     assert "2. unidentified term in torque [unknown] (p = 1.0e-09): a torque like p^3" in text
     assert "interrupted: 40 of 200 null records were done" in text
-    assert "3 null records were undecided, which is no alarm" in text
+    assert "undecided null records, not counted as alarms: 3" in text
 
 
 @pytest.mark.parametrize(

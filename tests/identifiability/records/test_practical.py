@@ -214,7 +214,7 @@ def test_the_result_is_plain_json_and_says_what_its_errors_assume():
     assert content["schema"] == "casid.practical/1"
     assert content["rows"][1]["verdict"] == "not seen by this record"
     assert content["rows"][1]["std_error"] is None
-    assert "What the error bar assumes: white Gaussian noise" in str(r)
+    assert "The error bars assume white Gaussian noise" in str(r)
     assert repr(r) == "<Practical decay: rank 2 of 3; not seen: g1, g2>"
 
 

@@ -122,7 +122,7 @@ def test_the_result_is_plain_json_with_none_for_an_open_end():
     content = json.loads(json.dumps(r.to_json(), allow_nan=False))
     assert content["profiles"][0]["lower"] is None
     assert content["profiles"][0]["kind"] == "practically non-identifiable"
-    assert "What the interval assumes" in str(r)
+    assert "The interval assumes" in str(r)
 
 
 def test_refusals_say_what_to_do():

@@ -180,7 +180,7 @@ def test_values_that_are_only_starts_are_said_to_be():
     free = swing(np.zeros(1000), angle=0.2)
     (found,) = record_excitation(problem(), free)
     assert found.references[0].is_exciting
-    assert "give an estimate" in found.note
+    assert "pass an estimate" in found.note
     assert found.note in str(found)
     (told,) = record_excitation(problem(), free, at={**TRUE, "phi(0)": 0.2, "p(0)": 0.0})
     assert told.note == ""
