@@ -42,6 +42,7 @@ from casid.experiment_design.verification import (
     fewest_to_diagnose,
     verified,
 )
+from casid.model.effects.channel_effects import COURSES
 from casid.model.units import from_si
 from casid.versions import versions
 
@@ -368,6 +369,17 @@ def _lengths_noted(tried: Sequence[Tried]) -> list[str]:
     return [f"Designs for other durations: {', '.join(words)}."]
 
 
+def _other_courses(setup: Setup) -> list[str]:
+    """Inputs that the problem declares otherwise between samples than they are designed."""
+    hold, inputs = setup.excitation.hold, setup.nominal.model.inputs
+    return [
+        f"{name} is {COURSES[hold]} in this design, and {COURSES[inputs[name].hold]} in the "
+        f'problem: declare hold="{hold}" for it before its record is diagnosed.'
+        for name in setup.designed
+        if name in inputs and inputs[name].hold != hold
+    ]
+
+
 def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[str]:
     notes = []
     lost = [
@@ -388,7 +400,7 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
                 f"{name}, which nobody measures, is taken as {held:.4g} {unit} while the record "
                 "lasts. The sensor that it was eliminated with takes up whatever it does."
             )
-    notes += _too_few(search)
+    notes += [*_other_courses(search.setup), *_too_few(search)]
     for effect, several in zip(search.question.effects, search.question.every_size, strict=True):
         values = " and with ".join(
             ", ".join(f"{n} = {v:.4g}" for n, v in size.items()) for size in several

@@ -73,6 +73,19 @@ def test_an_input_that_is_held_is_drawn_in_steps_to_the_end_of_the_record(
     assert {t.line.shape for t in others} <= {None, "linear"}
 
 
+def test_an_input_that_the_problem_joins_by_lines_is_said_to_be_held(
+    separated: casid.DesignedExperiment,
+) -> None:
+    """A record of it, diagnosed with the wrong course, shows spikes at every step."""
+    assert (
+        "u is held between its samples in this design, and joined by straight lines between its "
+        'samples in the problem: declare hold="zoh" for it before its record is diagnosed.'
+    ) in separated.notes
+    aim, limits = Aim.estimate("c"), {"u": (-2.0, 2.0)}
+    lines = casid.design_experiment(spring(), aim, limits, 3.0, shape="linear", **SMALL)
+    assert not any("declare hold" in note for note in lines.notes)
+
+
 def test_of_several_sizes_of_a_cause_the_worst_counts(
     separated: casid.DesignedExperiment,
 ) -> None:
