@@ -18,9 +18,11 @@ from casid.experiment_design.designed_experiment import (
     Learned,
     LimitUse,
     SolverEvidence,
+    hypothesis_words,
     time_text,
 )
 from casid.experiment_design.excitation import Excitation, excitation_of
+from casid.experiment_design.hypotheses import name_of
 from casid.experiment_design.limits import Limits, Range, limits_of
 from casid.experiment_design.options import DesignOptions, filled
 from casid.experiment_design.outcome import learned, outcomes, predicted_records, ranked_standards
@@ -405,7 +407,7 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
         values = " and with ".join(
             ", ".join(f"{n} = {v:.4g}" for n, v in size.items()) for size in several
         )
-        notes.append(f"{effect.kind} in {effect.key[1]} is taken with {values} (SI).")
+        notes.append(f"{hypothesis_words(name_of(effect))} is taken with {values} (SI).")
     if not best.iterations and search.starts != 0:
         notes.append(
             "The optimisation found no better input than the best standard input, which is the "

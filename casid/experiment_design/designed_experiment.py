@@ -17,6 +17,7 @@ from casid.data.record import Record
 from casid.data.record_files import write_record
 from casid.experiment_design.aim import Aim
 from casid.experiment_design.thresholds import DESIGN
+from casid.model.effects.names import effect_words
 from casid.presentation import Presented, present, write
 from casid.saving.saved import Saved
 
@@ -82,6 +83,16 @@ def time_text(seconds: float) -> str:
     return "more than a century" if isfinite(seconds) else "never"
 
 
+FITTED = ", fitted to "
+"""Between a rival and the truth that its predicted record is fitted to."""
+
+
+def hypothesis_words(name: str) -> str:
+    """A hypothesis in words: `cubic_damping in force, fitted to ...`, as records are named."""
+    each = (part.partition(" in ") for part in name.split(FITTED))
+    return FITTED.join(effect_words(kind, at) if at else kind for kind, _, at in each)
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """A cause as the truth, and the rival that would be fitted to its record.
@@ -113,7 +124,8 @@ class Outcome:
     @property
     def words(self) -> str:
         """The truth, with its size where there are several."""
-        return self.truth if self.size is None else f"{self.truth} of {self.size:.3g}"
+        truth = hypothesis_words(self.truth)
+        return truth if self.size is None else f"{truth} of {self.size:.3g}"
 
     @property
     def counted(self) -> int:
@@ -301,7 +313,8 @@ class DesignedExperiment(Presented, Saved):
             return f"{text} of the best standard input under the same limits."
         if self.gain <= 1.0:
             return text + "; so does the best standard input."
-        return f"{text}; the best standard input needs {self.gain:.3g} such records for the same."
+        times = f"{self.gain:,.0f}" if self.gain >= 100 else f"{self.gain:.3g}"
+        return f"{text}; the best standard input needs {times} such records for the same."
 
     @property
     def _is_standard(self) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from casid.data.record import Record
 from casid.experiment_design.aim import Aim
 from casid.experiment_design.designed_experiment import (
+    FITTED,
     Learned,
     Outcome,
     Standard,
@@ -89,7 +90,7 @@ def predicted_records(setup: Setup, best: Found) -> dict[str, Record]:
                 y, acting = prediction.shown(i, *at), setup.nominal.acting
                 records[h.name] = record_of(prediction, best.u, y, acting, name=h.name)
             continue
-        name = f"{h.name}, fitted to {prediction.hypotheses[sources[i]].name}"
+        name = f"{h.name}{FITTED}{prediction.hypotheses[sources[i]].name}"
         if name in records:
             continue
         y, measured = prediction.course(i, *at).y, prediction.measured(sources[i], *at)

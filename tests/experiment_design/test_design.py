@@ -70,6 +70,9 @@ def test_an_input_that_is_held_is_drawn_in_steps_to_the_end_of_the_record(
     held = np.searchsorted(drawn.x, t, side="right") - 1
     assert np.array_equal(np.asarray(drawn.y)[held], u)  # every sample, between two steps
     others = [t for t in separated.plot().data if t.name != "designed input"]
+    named = {t.name for t in others}
+    assert "cubic damping in the force balance" in named
+    assert any(" balance, fitted to cubic damping in the force balance" in n for n in named)
     assert {t.line.shape for t in others} <= {None, "linear"}
 
 

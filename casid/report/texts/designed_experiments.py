@@ -11,6 +11,7 @@ from casid.experiment_design.designed_experiment import (
     LimitUse,
     Outcome,
     Standard,
+    hypothesis_words,
 )
 from casid.experiment_design.thresholds import DESIGN
 from casid.report.document import Document, Part, Table, labelled
@@ -37,7 +38,13 @@ def outcome_table(found: DesignedExperiment) -> Table:
     is_diagnosed = any(o.diagnosed is not None for o in found.outcomes)
     rows = [
         (
-            *(o.words, o.rival, number_text(o.energy), _percent(o.power), _percent(o.standard)),
+            *(
+                o.words,
+                hypothesis_words(o.rival),
+                number_text(o.energy),
+                _percent(o.power),
+                _percent(o.standard),
+            ),
             *([f"{o.right} of {o.runs}"] if o.runs else []),
             *([_diagnosed(o)] if is_diagnosed else []),
         )
