@@ -52,4 +52,4 @@ def test_the_help_says_so() -> None:
         text = " ".join(CliRunner().invoke(main, [command, "--help"]).output.split())
         assert "A parameter that is known, in its declared unit." in text
     text = " ".join(CliRunner().invoke(main, ["identifiability", "--help"]).output.split())
-    assert "this value of a parameter (in its declared unit;" in text
+    assert "this value of a parameter, in its declared unit;" in text

@@ -83,7 +83,7 @@ def weighed_against_disturbances(
     start = replace(start, noise_absorbs_misfit=True)  # a bound may have hidden it
     found = found if found.adopted else replace(found, at=start)
     score, is_random = math.inf, False
-    found = _each_beside(weighing, found, baseline, search, settings)
+    found = _each_beside(again, found, baseline, search, settings)
     if found.adopted and found.fit is not None:
         nothing = _score(bare, (), search)
         is_clean = not found.at.noise_absorbs_misfit
@@ -94,10 +94,10 @@ def weighed_against_disturbances(
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
-        is_foreseen = _predicts(fit, baseline)
-        charged = found if is_foreseen else _charged(found, bare, search, beside)
-        is_random = not is_foreseen and all(a.p_value >= search.alpha for a in charged.adopted)
-        is_random |= not is_foreseen and nothing <= score and not is_more_than_noise(bare, again)
+        may_be_random = not (_predicts(fit, baseline) or is_more_than_noise(bare, again))
+        charged = _charged(found, bare, search, beside) if may_be_random else found
+        is_random = may_be_random and nothing <= score
+        is_random |= all(a.p_value >= search.alpha for a in charged.adopted)
         if is_clean and not is_random:
             return search, start, charged
         found = charged
@@ -147,7 +147,7 @@ def _beside(weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted) 
 
 
 def _each_beside(
-    weighing: Weighing,
+    again: Search,
     found: Adoption,
     baseline: Baseline,
     search: Search,
@@ -157,6 +157,10 @@ def _each_beside(
 
     The first cause may be a law, and a later one what a disturbance leaves. One alone is compared
     with a disturbance as all are together.
+
+    Parameters
+    ----------
+    again : the search with disturbances in the noise.
     """
     if len(found.adopted) < 2 or not found.at.noise_absorbs_misfit:
         return found
@@ -170,14 +174,14 @@ def _each_beside(
 
     @cache
     def under_disturbance(fit: Fit) -> Weighted:
-        return weighing.weigh(fit.criterion.model, fit, rounds=1)
+        return again.weighing.weigh(fit.criterion.model, fit, rounds=1)
 
     def why(cause: Adopted, fit: Fit, without: Fit) -> str:
         if _foresees(without, fit, split) or not is_sound(without):
             return ""
         beside, instead = under_disturbance(fit), under_disturbance(without)
         is_needed = _score(beside, [cause], search) < _score(instead, (), search)
-        return "" if is_needed else RANDOM
+        return "" if is_needed or is_more_than_noise(instead, again) else RANDOM
 
     settings.progress("compare each cause with a random disturbance in its place")
     what = "the comparison of each cause with a random disturbance"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -124,7 +125,8 @@ def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_m
     causes = tuple(Adopted(c, 1e-9, ()) for c in (drag, jump))
     both = Adoption(causes, weighing.weigh(jump.model, fit), fit)
     baseline: Any = SimpleNamespace(fit=base, split=split, start=start)
-    kept = _each_beside(weighing.with_disturbances(), both, baseline, search, settings)
+    again = replace(search, weighing=weighing.with_disturbances())
+    kept = _each_beside(again, both, baseline, search, settings)
     assert [a.candidate.effect.kind for a in kept.adopted] == ["quadratic_damping"]
     assert [c.effect.kind for c, _ in search.refused] == ["parameter_jump"]
 

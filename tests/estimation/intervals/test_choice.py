@@ -33,7 +33,7 @@ def test_a_parabola_keeps_its_normal_intervals():
         assert p.interval == pytest.approx(
             (p.value - 1.96 * p.std_error, p.value + 1.96 * p.std_error)
         )
-    assert "as a parabola does" in found.intervals["quick"]
+    assert "quadratic that far" in found.intervals["quick"]
 
 
 def test_a_skewed_criterion_gives_the_profile_and_it_is_said_everywhere(tmp_path):
