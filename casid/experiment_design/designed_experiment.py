@@ -313,7 +313,7 @@ class DesignedExperiment(Presented, Saved):
             return f"{text} of the best standard input under the same limits."
         if self.gain <= 1.0:
             return text + "; so does the best standard input."
-        times = f"{self.gain:,.0f}" if self.gain >= 100 else f"{self.gain:.3g}"
+        times = f"{float(f'{self.gain:.3g}'):,g}"  # 1,450 and not 1.45e+03
         return f"{text}; the best standard input needs {times} such records for the same."
 
     @property
