@@ -40,7 +40,7 @@ WIDER = 3.0
 MOVES = 4
 """Of one such search on to where it gains at its edge, at most."""
 FILLINGS = 2
-"""Such draws, each under the noise that the one before it gives."""
+"""Draws of missing samples, each under the noise that the one before it gives."""
 
 
 def with_disturbance_spectra(
@@ -65,13 +65,13 @@ def with_disturbance_spectra(
     known = with_rounding(criterion.data, known or {})
     used = [d.used for d in criterion.data]
     found = _searched(noise, criterion, residuals, used, known)
-    is_missed = [not u.all() and unbroken(u) is None for u in used]
-    if any(is_missed) and min(float(u.mean()) for u in used) >= FILLED_FROM:
+    has_holes = [unbroken(u) is None for u in used]
+    if any(has_holes) and min(float(u.mean()) for u in used) >= FILLED_FROM:
         # What a narrow band has at its peak leaks through gaps over all other frequencies, and its
         # spectrum is known no better than a few of its periods are many.
         rng = np.random.default_rng(0)
         found = replace(found, output_sd=np.minimum(found.output_sd, _rough(residuals, used)))
-        there = [np.ones_like(u) if m else u for u, m in zip(used, is_missed, strict=True)]
+        there = [np.ones_like(u) if hole else u for u, hole in zip(used, has_holes, strict=True)]
         for _ in range(FILLINGS):
             whole = [found.filled(r, e, rng) for e, r in enumerate(residuals)]
             found = _searched(noise, criterion, whole, there, known)

@@ -128,8 +128,8 @@ def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array
 def _end_in_windows(fit: Fit, whole: Experiment, first: int) -> tuple[Signals, Array, Array]:
     """A fitted record from sample `first` to its end, `in_windows`.
 
-    A fit is asked for it again and again: as a part of the whole, as an end that starts anew, for
-    its errors and for its figures.
+    Kept for the last fits, each of which needs it several times: for the whole record, for the end
+    simulated by itself, and for figures.
     """
     tail = replace(whole, record=_tail(whole.record, first), name="")
     return in_windows(fit, tail, on_clock=True)

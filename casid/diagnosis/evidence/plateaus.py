@@ -16,6 +16,7 @@ from scipy.stats import nbinom, poisson
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
+from casid.data.sampling import stretches_of
 from casid.diagnosis.thresholds import CLIPPING
 
 
@@ -191,8 +192,7 @@ def _turns(measured: Sequence[Array], at: Sequence[Array]) -> bool:
     step = float(np.min(steps[steps > 0.0], initial=np.inf))
     runs: list[tuple[int, float]] = []
     for y, mask in zip(measured, at, strict=True):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-        for start, stop in edges.reshape(-1, 2):
+        for start, stop in zip(*stretches_of(mask), strict=True):
             half = (stop - start + 1) // 2
             beside = [k for k in (start - half, stop - 1 + half) if 0 <= k < len(y)]
             runs += [(stop - start, abs(float(y[k] - y[start]))) for k in beside]

@@ -235,8 +235,8 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
 
     The disturbance is most of the error of a simulation, with the effect or without: it may grow by
     chance, that of the fitted part by `growth_by_disturbance`, and that of what was held out by
-    `GROWTH.by_chance`. Where a disturbance
-    slower than the model counts for nothing, the simulation may leave what was measured.
+    `GROWTH.by_chance`. Where a disturbance slower than the model counts for nothing, the simulation
+    may leave what was measured.
     """
     units = before.criterion.weights
     fitted = [_fitted_error(f, split, units) for f in (before, after)]

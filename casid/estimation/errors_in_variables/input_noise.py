@@ -175,7 +175,7 @@ class _Residuals:
 
     def noise(self) -> NoiseModel:
         """The noise of few sources."""
-        has_holes = any(not d.used.all() and unbroken(d.used) is None for d in self.criterion.data)
+        has_holes = any(unbroken(d.used) is None for d in self.criterion.data)
         if not has_holes:
             return self._of_few_sources()
         found, fillings = self.before, REMOVAL.refillings
