@@ -17,6 +17,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.place import Expr, Place, is_mechanical, is_zero
+from casid.model.formula_text import formula_text
 from casid.model.model import Model
 from casid.model.rate_laws import addends
 
@@ -381,18 +382,14 @@ def _literal(value: float) -> Expr:
 
 
 def _text(coefficients: Mapping[str, Expr]) -> str:
-    """A sum in symbols without spaces: "w1-w2", "w-20*w_load"."""
+    """A sum in symbols without spaces: "w1-w2", "w-20*w_load", "w_1-w_2/ratio"."""
     out = ""
-    ordered = sorted(coefficients.items(), key=lambda item: str(item[1]) != "1")
-    for name, c in ordered:
-        text = str(ca.SX(c))
+    for name, c in sorted(coefficients.items(), key=lambda item: str(item[1]) != "1"):
         if ca.SX(c).is_constant():
             value = float(c)
             size = "" if abs(value) == 1.0 else f"{abs(value):.4g}*"
-            out += ("-" if value < 0 else "+" if out else "") + size + name
+            term = "-" * (value < 0) + size + name
         else:
-            text = text.replace(" ", "")
-            is_negative = text.startswith("(-") and text.count("(") == 1
-            text = text[2:-1] if is_negative else text
-            out += ("-" if is_negative else "+" if out else "") + f"{text}*{name}"
+            term = formula_text(c * ca.SX.sym(name)).replace(" ", "")
+        out += "+" * (bool(out) and not term.startswith("-")) + term
     return out

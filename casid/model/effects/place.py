@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casid.model.declarations import Balance
+from casid.model.formula_text import formula_text
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
 
@@ -65,7 +66,8 @@ class Place:
         """The equations that a force on a relative motion enters; "" for a balance."""
         if not self.is_relative:
             return ""
-        rows = [row if str(f) == "1" else f"{row} times {_spaced(f)}" for row, f in self.shares]
+        factors = [(row, formula_text(f)) for row, f in self.shares]
+        rows = [row if f == "1" else f"{row} times {f}" for row, f in factors]
         return f"acts on {self.position_name or self.where} in {' and in '.join(rows)}"
 
     def add(self, model: Model, force: Expr) -> None:
@@ -153,9 +155,3 @@ def is_zero(expression: Expr) -> bool:
     rng = np.random.default_rng(3)
     points = [rng.uniform(0.2, 1.7, len(symbols)) for _ in range(3)]
     return all(abs(float(function(p))) < 1e-9 for p in points)
-
-
-def _spaced(factor: Expr) -> str:
-    """A factor in symbols, without the brackets around it."""
-    text = str(factor).replace(" ", "")
-    return text[1:-1] if text.startswith("(-") and text.count("(") == 1 else text

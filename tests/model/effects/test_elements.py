@@ -84,6 +84,20 @@ def test_a_gear_scales_the_motion_and_what_it_transmits_alike():
     assert shares(shaft) == [("motor", "1"), ("load", "(-n)")]
 
 
+def test_a_motion_behind_a_gear_reads_as_one_would_write_it():
+    m = casid.Model("drive")
+    w, load = m.state("w", "rad/s"), m.state("load", "rad/s")
+    n, c = m.constant("n", 20.0, "1"), m.parameter("c", "N m s/rad")
+    J1, J2 = m.parameter("J1", "kg m^2"), m.parameter("J2", "kg m^2")
+    drag = c * (load - w / n)
+    m.balance(load, "arm", inertia=J2, terms=[-drag])
+    m.balance(w, "motor", inertia=J1, terms=[m.input("T", "N m"), drag / n])
+    m.output("speed", w, "rad/s")
+    (mesh,) = elements_of(m)
+    assert mesh.where == "load-w/n"
+    assert mesh.words == "acts on load-w/n in arm and in motor times -1 / n"
+
+
 def test_a_road_that_moves_makes_the_tyre_an_element_of_one_balance():
     suspension, tyre = elements_of(quarter_car())
     assert (suspension.where, suspension.position_name) == ("v-w", "x-y")
