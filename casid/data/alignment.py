@@ -189,7 +189,7 @@ def align(
         )
     c = np.where(allowed, c, -np.inf)
     best = int(np.argmax(c))
-    c1, n = float(c[best]), int(overlap[best])
+    c1, n = min(float(c[best]), 1.0), int(overlap[best])  # rounding puts it beyond
     c2, lag2 = _second_peak(c, lags, best)
     noise = np.sqrt((4 * (1 - c1) * max(c1 - c2, 0.0) + 2 * (1 - c1) ** 2) / n)
     if c1 - c2 <= max(3 * noise, 0.05) or c1 < 0.1:

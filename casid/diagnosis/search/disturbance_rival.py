@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
@@ -72,7 +72,7 @@ def weighed_against_disturbances(
     settings.progress("compare what was found with a random disturbance in its place")
     weighing = search.weighing.with_disturbances()
     again = replace(search, weighing=weighing, tested=None, refused=[])
-    bare = weighing.weigh(start.model, base, rounds=1)
+    bare = search.under_disturbance(base)
     if minus_log_likelihood(bare) > _as_white(base):
         return search, start, found
     start = replace(start, beside=bare)
@@ -90,7 +90,7 @@ def weighed_against_disturbances(
         if is_clean and _score(found.at, found.adopted, search) < nothing:
             return search, start, _charged(found, bare, search)  # likelier with no disturbance
         fit = found.fit
-        own = weighing.weigh(fit.criterion.model, fit)
+        own = search.under_disturbance(fit)
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
@@ -172,14 +172,10 @@ def _each_beside(
 
     is_sound = Soundness(base, split)
 
-    @cache
-    def under_disturbance(fit: Fit) -> Weighted:
-        return again.weighing.weigh(fit.criterion.model, fit, rounds=1)
-
     def why(cause: Adopted, fit: Fit, without: Fit) -> str:
         if _foresees(without, fit, split) or not is_sound(without):
             return ""
-        beside, instead = under_disturbance(fit), under_disturbance(without)
+        beside, instead = search.under_disturbance(fit), search.under_disturbance(without)
         is_needed = _score(beside, [cause], search) < _score(instead, (), search)
         return "" if is_needed or is_more_than_noise(instead, again) else RANDOM
 
@@ -226,9 +222,8 @@ def _charged(
     if not found.adopted or found.fit is None:
         return found
     if beside is None and found.at.noise_absorbs_misfit:
-        weighing = search.weighing.with_disturbances()
-        own = found.at.beside or weighing.weigh(found.at.model, found.fit)
-        beside = _beside(weighing, found, own, bare)
+        own = found.at.beside or search.under_disturbance(found.fit)
+        beside = _beside(search.weighing.with_disturbances(), found, own, bare)
     left = minus_log_likelihood(found.at) if beside is None else beside
     gain = minus_log_likelihood(bare) - left
     effects = [a.candidate.effect for a in found.adopted]

@@ -138,9 +138,8 @@ def _with_likelihoods(search: Search, at: Weighted) -> Weighted:
     if not at.noise_absorbs_misfit or at.beside is not None:
         return at
     what = "the fit of the extended model beside a random disturbance"
-    weighing = search.weighing.with_disturbances()
     return replace(
-        at, beside=search.attempts.attempt(what, lambda: weighing.weigh(at.model, at.fit))
+        at, beside=search.attempts.attempt(what, lambda: search.under_disturbance(at.fit))
     )
 
 

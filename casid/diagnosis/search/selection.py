@@ -226,12 +226,10 @@ class _Selection:
 
     def _is_random(self) -> bool:
         """True if nothing but a random disturbance shows in what is left: no two effects then."""
-        weighing = self.search.weighing.with_disturbances()
-        beside = replace(self.search, weighing=weighing, tested=None)
+        search = self.search
+        beside = replace(search, weighing=search.weighing.with_disturbances(), tested=None)
         what = "the test of the remainder beside a random disturbance"
-        at = self.search.attempts.attempt(
-            what, lambda: weighing.weigh(self.at.model, self.at.fit, rounds=1)
-        )
+        at = search.attempts.attempt(what, lambda: search.under_disturbance(self.fit))
         return at is not None and not is_more_than_noise(at, beside)
 
     def _with(self, first: Adopted) -> _Selection:

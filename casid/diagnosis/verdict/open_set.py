@@ -67,7 +67,7 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
     if at.noise_absorbs_misfit:
         # The residual was tested under the noise of sensors and inputs alone, of which it is much
         # more. With random forces in the noise, of spectra of their own, it may be nothing else.
-        with_force = at.beside or search.weighing.with_disturbances().weigh(at.model, at.fit)
+        with_force = at.beside or search.under_disturbance(at.fit)
         again = _tests(with_force, search, level)
         burst = _burst(again, with_force)
         if again.verdict in _RANDOM and burst >= level:
