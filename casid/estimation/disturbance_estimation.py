@@ -16,7 +16,7 @@ from casid.arrays import Array, BoolArray
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.missing_samples import FILLED_FROM, unbroken
 from casid.estimation.noise import NoiseModel, variances, whittle, with_rounding
-from casid.estimation.noise_response import Response
+from casid.estimation.noise_response import Response, places_of_forces
 from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.variance_scoring import likelihoods
@@ -39,6 +39,9 @@ WIDER = 3.0
 """Times as large are those of the logarithm of the width."""
 MOVES = 4
 """Of one such search on to where it gains at its edge, at most."""
+LEAST = 0.05
+"""Of the power of an output, what a force in a stated rate makes of it: with less it would mend the
+shape that a force in a balance has between samples, where none is known."""
 FILLINGS = 2
 """Draws of missing samples, each under the noise that the one before it gives."""
 
@@ -53,7 +56,7 @@ def with_disturbance_spectra(
 ) -> NoiseModel:
     """The noise of the residual at `x` with forces that are not white where it shows such.
 
-    Forces of several balances are taken up one after another, the one that gains most first.
+    Forces in several places are taken up one after another, the one that gains most first.
 
     Parameters
     ----------
@@ -117,8 +120,8 @@ def _searched(
     chosen: dict[str, DisturbanceSpectrum] = {}
     best = search.fitted(chosen)
     while True:
-        tried = [search.best_beside(chosen, name) for name in criterion.model.balances]
-        more = [t for t in tried if t is not None]
+        tried = [search.best_beside(chosen, name) for name in places_of_forces(criterion.model)]
+        more = [t for t in tried if t is not None and search.is_seen(*t[1:])]
         top = min(more, key=lambda t: t[0], default=None)
         if top is None or top[0] >= best[0]:
             break
@@ -153,8 +156,10 @@ class _Search:
         return whittle(spectra, value) + self._price(found), value
 
     def _price(self, found: Mapping[str, DisturbanceSpectrum]) -> float:
-        """Schwarz's, of the parameters of the spectra."""
+        """Schwarz's, of the parameters of the spectra, and of variances that no white noise has."""
         count = sum(1 if s.damping is None else 2 for s in found.values())
+        is_white = {name for group in self.noise.alike for name in group}
+        count += sum(name not in is_white for name in found)
         return 0.5 * count * float(np.log(max(self.white.count.sum(), 2.0)))
 
     def best_beside(
@@ -206,6 +211,21 @@ class _Search:
         values += [self._price({**found, name: c}) for c in candidates]
         k = int(np.argmin(values))
         return candidates[k], float(values[k])
+
+    def is_seen(self, value: Array, found: Mapping[str, DisturbanceSpectrum]) -> bool:
+        """False if a force in a stated rate makes less than `LEAST` of every output."""
+        is_white = {name for group in self.noise.alike for name in group}
+        rates = [name for name in found if name not in is_white]
+        if not rates:
+            return True
+        noise = self.noise_of(found, value)
+        power = np.mean(noise.spectrum(0), axis=0)
+        gain2 = np.mean(noise.responses[0].gain2, axis=0)
+        of = noise.responses[0].sources.index
+        return all(
+            np.any(noise.source_sd[name] ** 2 * gain2[:, of(name)] > LEAST * power)
+            for name in rates
+        )
 
     def noise_of(self, found: Mapping[str, DisturbanceSpectrum], value: Array) -> NoiseModel:
         """The noise model with these spectra and variances."""

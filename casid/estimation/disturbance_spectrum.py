@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft, rfft
 
 from casid.arrays import TINY, Array
 
@@ -47,6 +48,13 @@ class DisturbanceSpectrum:
         """The same at any frequencies `omega` (F,) [rad/sample]."""
         even = self._shape(np.linspace(0.0, np.pi, GRID), Ts)
         return np.asarray(self._shape(omega, Ts) / max(float(np.mean(even)), TINY))
+
+    def draw(self, n: int, Ts: float, rng: np.random.Generator) -> Array:
+        """(n,) samples of a Gaussian force of this spectrum and unit variance."""
+        # Drawn on a circle that is twice as long: its ends, which follow each other, are cut off.
+        line = rfft(rng.standard_normal(2 * n))
+        omega = np.linspace(0.0, np.pi, len(line))
+        return np.asarray(irfft(line * np.sqrt(self.at(omega, Ts)), 2 * n)[:n])
 
     def _shape(self, omega: Array, Ts: float) -> Array:
         r2 = (omega / (Ts * self.frequency)) ** 2

@@ -268,7 +268,8 @@ def estimate_noise(
 
     Sources whose responses have the same shape (an input and a balance it enters) are
     indistinguishable: the variance is given to the first, measured inputs before balances, and
-    `alike` lists them. A source whose noise is known is counted on its own.
+    `alike` lists them. A source whose noise is known is counted on its own. There is no white noise
+    in stated rates: integrated, it would be any slow error.
 
     Parameters
     ----------
@@ -287,7 +288,7 @@ def estimate_noise(
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     every = list(responses[0].sources)
     alike: list[tuple[str, ...]] = [(name,) for name in every if name in known]
-    found_in = every if has_disturbances else list(criterion.model.inputs)
+    found_in = [*criterion.model.inputs, *(criterion.model.balances if has_disturbances else ())]
     rest = [name for name in every if name not in known and name in found_in]
     alike += _alike(responses, criterion.weights, every, rest) if merge else [(n,) for n in rest]
     sources = [group[0] for group in alike]

@@ -1,10 +1,15 @@
-"""Frequency responses of a simulated model to its sources of noise: inputs and forces."""
+"""Frequency responses of a simulated model to its sources of noise: inputs and forces.
+
+A force acts in a balance. Where outputs are more than balances, it may act in a stated rate as
+well: the height of a road moves the travel of a suspension, z' = v - (its rate), beside the body's
+speed. Whatever acts in one balance alone moves two outputs in proportion, frequency by frequency.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -18,6 +23,7 @@ from casid.estimation.simulation.simulator import rk4_sample
 from casid.model.declarations import Input
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
+from casid.model.units import unit_quotient
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +39,7 @@ class Response:
 def noise_response(
     criterion: SimulationError, x: Array, experiment: int, *, omega: Array | None = None
 ) -> Response:
-    """|G|^2 from every measured input and every balance to the outputs, linearised at the mean.
+    """|G|^2 from measured inputs, balances and stated rates to the outputs, linearised at the mean.
 
     The step of the simulation itself is linearised, so the response is that of what is simulated.
     Of an input that is filled between its samples it is that of the noise of those.
@@ -55,11 +61,11 @@ def noise_response(
     disturbed, e, jac = criterion.built(
         ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
     )
-    nb = len(model.balances)
+    forced = places_of_forces(model)
     # Equivalent linearisation: the mean of the derivatives over the record, so that kinks and
     # amplitude-dependent terms count by how often they are met.
     pick = np.linspace(0, d.N - 1, min(d.N, 200)).astype(int)
-    u = np.hstack([d.u[pick], np.zeros((len(pick), nb))])
+    u = np.hstack([d.u[pick], np.zeros((len(pick), len(forced)))])
     at_points = jac.map(len(pick))(states[pick].T, u.T, u.T, np.tile(p[:, None], (1, len(pick))))
     a, b0, b1, c, dd = (
         np.array(m).reshape(m.shape[0], len(pick), -1).mean(axis=1) for m in at_points
@@ -73,14 +79,16 @@ def noise_response(
     z = np.exp(1j * omega)
     eye = np.eye(len(a))
     lhs = z[:, None, None] * eye - a
-    enters = _input_stages(criterion, x, experiment, e.inputs, measured, nb, len(omega) - 1)
+    enters = _input_stages(
+        criterion, x, experiment, e.inputs, measured, len(forced), len(omega) - 1
+    )
     rhs = (b0 + z[:, None, None] * b1) @ enters
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
     g = g * _sensor_stages(criterion, x, experiment, len(omega) - 1)[:, :, None]
     for name in set(measured) & set(d.filled):
         spectrum = filled_spectrum(d.filled[name], model.inputs[name].hold, omega)
         g[:, :, measured.index(name)] *= np.sqrt(spectrum)[:, None]
-    return Response(omega, np.abs(g) ** 2, (*measured, *model.balances), g)
+    return Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
 
 
 def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any]:
@@ -88,7 +96,10 @@ def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit,
 
     The function takes states, inputs, inputs at the next sample and parameters.
     """
-    disturbed = _with_disturbances(criterion.model)
+    model = criterion.model.copy()
+    # What lags before the simulation moves in lines of its own; sensors come after it.
+    model.stages = tuple(s for s in model.stages if s.is_of_input)
+    disturbed = with_forces(model, places_of_forces(model), "unknown")
     e = disturbed.explicit()
     u_next = ca.SX.sym("un", len(e.inputs))
     xs = rk4_sample(disturbed, e, u_next, Ts, criterion.substeps)
@@ -112,7 +123,7 @@ def _input_stages(
     experiment: int,
     inputs: Sequence[str],
     measured: Sequence[str],
-    balances: int,
+    forces: int,
     n: int,
 ) -> Array:
     """What the noise of each source is in the input columns that are simulated.
@@ -122,7 +133,7 @@ def _input_stages(
     """
     model, Ts = criterion.model, criterion.data[experiment].Ts
     places = [inputs.index(name) for name in measured]
-    places += range(len(inputs) - balances, len(inputs))
+    places += range(len(inputs) - forces, len(inputs))
     direct = np.zeros((1, len(inputs), len(places)))
     direct[0, places, range(len(places))] = 1.0
     stages = [s for s in model.stages if s.is_of_input]
@@ -156,12 +167,36 @@ def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int
     return out
 
 
-def _with_disturbances(model: Model) -> Model:
+def places_of_forces(model: Model) -> tuple[str, ...]:
+    """The balances; with more outputs than these, the states of stated rates, too."""
+    if len(model.outputs) <= max(len(model.balances), 1):
+        return tuple(model.balances)
+    taken = {*model.balances, *model.inputs, *model.outputs}
+    rates = [n for n in model._rates if n not in taken and not model.states[n].is_added]
+    return (*model.balances, *rates)
 
+
+def unit_of_force(model: Model, place: str) -> str:
+    """The unit of what acts in a balance, beside an input, or in the rate of a state."""
+    if place in model.balances:
+        return model.balances[place].unit
+    if place in model.inputs:
+        return model.inputs[place].unit
+    return unit_quotient(model.states[place].unit, "s")
+
+
+def name_of_force(place: str) -> str:
+    """The input that `with_forces` adds for a place."""
+    return f"disturbance of {place}"
+
+
+def with_forces(model: Model, places: Sequence[str], kind: Literal["measured", "unknown"]) -> Model:
+    """A copy with one more input in each of these balances and rates, in their order."""
     new = model.copy()
-    # What lags before the simulation moves in lines of its own; sensors come after it.
-    new.stages = tuple(s for s in model.stages if s.is_of_input)
-    for name, balance in model.balances.items():
-        w = new.add_input(Input(f"disturbance of {name}", balance.unit, "unknown"))
-        new.add_term(name, w)
+    for place in places:
+        w = new.add_input(Input(name_of_force(place), unit_of_force(model, place), kind))
+        if place in model.balances:
+            new.add_term(place, w)
+        else:
+            new.add_rate(place, w)
     return new

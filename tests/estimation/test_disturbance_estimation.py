@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.fft import rfft
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -11,6 +12,7 @@ import casid
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import estimate_noise
+from casid.estimation.noise_response import places_of_forces
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 TS, N = 0.1, 4000
@@ -48,18 +50,24 @@ def oscillator() -> casid.Model:
     return m
 
 
-def noise_under(force: np.ndarray, rng: np.random.Generator, missing: float = 0.0):
-    """White and coloured noise of a record whose only cause is `force`, held between samples.
+def noise_under(force: np.ndarray, rng: np.random.Generator, missing: float = 0.0, enters: int = 1):
+    """White and coloured noise of a record whose only cause is `force`, held between its samples.
 
-    `missing` is the share of samples of the speed that there are not.
+    Those of the force may be some times as many as those of the record.
+
+    `missing` is the share of samples of the speed that there are not; the force enters the rate of
+    the state `enters`.
     """
-    a = np.array([[0.0, 1.0, 0.0], [-4.0, -0.3, 1.0], [0.0, 0.0, 0.0]])
-    step = expm(a * TS)
-    x = np.zeros((N + 1, 2))
+    a = np.zeros((3, 3))
+    a[:2, :2] = [[0.0, 1.0], [-4.0, -0.3]]
+    a[enters, 2] = 1.0
+    per = len(force) // N
+    step = expm(a * TS / per)
+    x = np.zeros((per * N + 1, 2))
     x[0] = 0.5, 0.0
-    for i in range(N):
+    for i in range(per * N):
         x[i + 1] = step[:2, :2] @ x[i] + step[:2, 2] * force[i]
-    y = x[:N] + rng.standard_normal((N, 2)) * list(SD.values())
+    y = x[: per * N : per] + rng.standard_normal((N, 2)) * list(SD.values())
     channels = dict(zip(SD, y.T, strict=True))
     record = casid.Record(channels, {"position": "m", "speed": "m/s"}, Ts=TS)
     if missing:
@@ -81,6 +89,48 @@ def test_a_first_order_force_is_found_with_its_corner_and_the_sensors_keep_their
     assert np.mean(abs(spectrum.at(OMEGA, TS) - low)) < 4 / np.sqrt(160)
     for sd, true in zip(noise.output_sd, SD.values(), strict=True):
         assert sd == pytest.approx(true, rel=4 / np.sqrt(2 * N) + 0.03)
+
+
+def test_the_ground_that_moves_enters_the_stated_rate_of_a_travel_and_no_balance():
+    """x' = v - (the ground's speed): a force in the balance moves both outputs in proportion."""
+    rng = np.random.default_rng(4)
+    a = np.exp(-0.8 * TS / 5)
+    ground = lfilter([1.0], [1.0, -a], 0.05 * np.sqrt(1 - a * a) * rng.standard_normal(5 * N))
+    _, white, noise = noise_under(ground, rng, enters=0)
+    assert set(noise.spectra) == {"x"}
+    assert white.source_sd["x"] == 0.0  # white in a rate is a random walk: any slow error is one
+    assert noise.source_sd["x"] == pytest.approx(0.05, rel=4 / np.sqrt(2 * 160))
+    assert noise.source_sd["force"] < 0.1 * 0.05 * 2.0  # what moves as much, at the resonance
+    assert noise.output_sd[0] == pytest.approx(SD["position"], rel=0.15)  # beside its last decades
+    assert noise.output_sd[1] == pytest.approx(SD["speed"], rel=4 / np.sqrt(2 * N) + 0.03)
+
+
+def test_a_stated_rate_has_a_force_only_where_outputs_are_more_than_balances():
+    model = oscillator()
+    assert places_of_forces(model) == ("force", "x")
+    del model.outputs["speed"]
+    assert places_of_forces(model) == ("force",)
+
+
+@pytest.mark.parametrize(
+    "spectrum", [DisturbanceSpectrum(2.0), DisturbanceSpectrum(2.0, 0.1, is_band=True)]
+)
+def test_a_force_is_drawn_with_its_spectrum(spectrum):
+    """A mean of 40 periodograms in bands of 40 lines, each exponential about the spectrum."""
+    rng = np.random.default_rng(5)
+    n, window = 3200, np.hanning(3200)
+    power = np.mean(
+        [
+            abs(rfft(spectrum.draw(n, TS, rng) * window)[1:1601]) ** 2 / np.sum(window**2)
+            for _ in range(40)
+        ],
+        axis=0,
+    )
+    expected = spectrum.at(np.linspace(0.0, np.pi, 1601), TS)[1:]
+    ratio = np.sum(power.reshape(-1, 40), axis=1) / np.sum(expected.reshape(-1, 40), axis=1)
+    # Hann's lines are correlated, and a band's power may lie in a few of them.
+    assert ratio == pytest.approx(1.0, abs=5 * np.sqrt(2.0 / (40 * 10)))
+    assert np.mean(power) == pytest.approx(1.0, abs=5 * np.sqrt(2.0 / (40 * 10)))
 
 
 @pytest.mark.parametrize("missing", [0.02, 0.3])

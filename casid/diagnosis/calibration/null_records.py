@@ -11,7 +11,7 @@ their Application, Cambridge 1997, section 4.2).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,29 +20,32 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import SolveError
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.holdout import Split
 from casid.estimation.noise import NoiseModel
+from casid.estimation.noise_response import name_of_force, with_forces
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.declarations import Input
 from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True)
 class NullNoise:
-    """White noise of every source, per sample, SI units.
+    """Noise of every source, standard deviation of a sample in SI units.
 
     Attributes
     ----------
     outputs : output -> of its sensor.
     inputs : measured input -> of its sensor, so in the record and not in the motion.
-    disturbances : measured input or balance -> of what acts there, so in the motion and not in the
-        record.
+    disturbances : measured input, balance or stated rate -> of what acts there, so in the motion
+        and not in the record.
+    spectra : of disturbances that are not white.
     """
 
     outputs: Mapping[str, float]
     inputs: Mapping[str, float]
     disturbances: Mapping[str, float]
+    spectra: Mapping[str, DisturbanceSpectrum] = field(default_factory=dict)
 
 
 def null_noise(
@@ -60,14 +63,14 @@ def null_noise(
     """
     left = {}
     for group in noise.alike:
-        found = sum(noise.source_sd[n] ** 2 * _gain(noise, n) for n in group)
+        found = noise.source_sd[group[0]] ** 2 * _gain(noise, group[0])
         used = sum(input_sd.get(n, 0.0) ** 2 * _gain(noise, n) for n in group)
         gain = _gain(noise, group[0])
         if gain > 0 and found > used * (1 + 1e-9):
             left[group[0]] = float(np.sqrt((found - used) / gain))
     sensors = {n: float(sd) for n, sd in input_sd.items() if sd > 0}
     by_output = dict(zip(outputs, noise.output_sd.tolist(), strict=True))
-    return NullNoise(by_output, sensors, left)
+    return NullNoise(by_output, sensors, left, noise.spectra)
 
 
 def _gain(noise: NoiseModel, source: str) -> float:
@@ -106,7 +109,8 @@ class NullRecords:
     ) -> None:
         self.noise = noise
         self.whole, self.apart = list(whole), list(apart)
-        disturbed = _with_disturbances(model, noise)
+        forced = [n for n in noise.disturbances if n not in model.inputs]
+        disturbed = with_forces(model, forced, "measured")
         self._criteria: list[tuple[SimulationError, Array]] = []
         settings: dict[str, Any] = {"weights": weights, "substeps": substeps}
         channels = disturbed.inputs.keys() - model.inputs.keys()
@@ -157,7 +161,9 @@ class NullRecords:
         d = criterion.data[e]
         u = d.u.copy()
         for name, sd in self.noise.disturbances.items():
-            u[:, _column(criterion.model, name)] += sd * rng.standard_normal(d.N)
+            spectrum = self.noise.spectra.get(name)
+            drawn = spectrum.draw(d.N, d.Ts, rng) if spectrum else rng.standard_normal(d.N)
+            u[:, _column(criterion.model, name)] += sd * drawn
         with np.errstate(all="ignore"):
             y, _, _ = criterion.simulate(x, e, signals=replace(d, u=u))
         if not np.all(np.isfinite(y)):
@@ -198,23 +204,9 @@ def _with(record: Record, name: str, values: Array) -> Record:
     return record.mark_missing(name, missing) if missing.any() else record
 
 
-def _disturbance(balance: str) -> str:
-    return f"disturbance of {balance}"
-
-
 def _column(model: Model, source: str) -> int:
     names = list(model.inputs)
-    return names.index(source if source in names else _disturbance(source))
-
-
-def _with_disturbances(model: Model, noise: NullNoise) -> Model:
-    new = model.copy()
-    for name in noise.disturbances:
-        if name in model.balances and name not in model.inputs:
-            balance = model.balances[name]
-            w = new.add_input(Input(_disturbance(name), balance.unit, "measured"))
-            new.add_term(name, w)
-    return new
+    return names.index(source if source in names else name_of_force(source))
 
 
 def _at_rest(experiment: Experiment, added: Mapping[str, str]) -> Experiment:

@@ -21,6 +21,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
+from casid.estimation.noise_response import unit_of_force
 from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, difference_to_si, same_dimension
 
@@ -30,11 +31,12 @@ DAY = timedelta(days=1).total_seconds()
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """A stationary random force in one balance, or beside one input.
+    """A stationary random force in one balance or stated rate, or beside one input.
 
     Attributes
     ----------
-    where : the balance, or the input beside whose recorded values it acts.
+    where : the balance, the input beside whose recorded values it acts, or the state whose stated
+        rate it enters (`z' = v + it`).
     std : standard deviation of the force at the samples, in `unit`.
     share : of the residual's power that it makes, added over the outputs in units of their
         weights, 0..1.
@@ -155,9 +157,12 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
     for where in seen or strongest:
         parts = found[where]
         sd = float(np.sqrt(sum(p[1] for p in parts)))
-        place = at.model.balances.get(where) or at.model.inputs[where]
         peak, width = _peak(max(parts, key=lambda p: p[0])[2])
-        out.append(Disturbance(where, sd, place.unit, min(shares[where], 1.0), peak, width))
+        out.append(
+            Disturbance(
+                where, sd, unit_of_force(at.model, where), min(shares[where], 1.0), peak, width
+            )
+        )
     return tuple(sorted(out, key=lambda d: -d.share))
 
 

@@ -14,6 +14,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from scipy.signal import butter, lfilter
 from scipy.stats import beta, chi2, kstest
 
 import casid
@@ -23,7 +25,9 @@ from casid.diagnosis.calibration.null_records import null_records
 from casid.diagnosis.diagnose import diagnose
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.errors import DataError, SolveError
+from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.holdout import split_records
+from casid.estimation.noise import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from problems import pendulum, roll_decay
 from tests.support.shared import ROOT
@@ -218,6 +222,43 @@ def test_the_figure_shows_every_run_and_the_thresholds():
 
 
 # -- what null records are ------------------------------------------------------------------------
+
+
+def test_null_records_have_the_sea_that_was_found_and_no_white_force_in_its_place():
+    """Of many draws the mean square about the simulation is that of the noise found."""
+    n, Ts = 1200, 0.1
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m", start=0.5), m.state("v", "m/s")
+    k, d = m.parameter("k", "1/s^2", start=4.0), m.parameter("d", "1/s", start=0.3)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=1, terms=[-k * x, -d * v], unit="m/s^2")
+    m.output("position", x, "m")
+    m.output("speed", v, "m/s")
+    rng = np.random.default_rng(3)
+    band = butter(1, [0.5, 0.7], "bandpass", fs=2 * np.pi / Ts)
+    sea = lfilter(*band, rng.standard_normal(2 * n))[n:]
+    y = np.zeros((n, 2))
+    y[0] = 0.5, 0.0
+    step = expm(np.array([[0.0, 1.0, 0.0], [-4.0, -0.3, 1.0], [0.0, 0.0, 0.0]]) * Ts)
+    for i in range(n - 1):
+        y[i + 1] = step[:2, :2] @ y[i] + step[:2, 2] * sea[i]
+    y += 0.002 * rng.standard_normal((n, 2))
+    units = {"position": "m", "speed": "m/s"}
+    record = casid.Record(dict(zip(units, y.T, strict=True)), units, Ts=Ts)
+    fit = fit_model(m, [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
+    noise = with_disturbance_spectra(estimate_noise(fit.criterion, fit.x), fit.criterion, fit.x)
+    assert list(noise.spectra) == ["force"]
+    split = split_records(fit.criterion.experiments, 0.0)
+    drawn = null_records(fit, split, noise, {})
+    clean = fit.criterion.simulated(fit.x, 0).y
+    squares = []
+    for _ in range(60):
+        (e,), _ = drawn.draw(rng)
+        moved = np.column_stack([e.record[name] for name in m.outputs]) - clean
+        squares.append(np.mean(moved**2, axis=0))
+    error = np.std(squares, axis=0) / np.sqrt(60)
+    found, expected = np.mean(squares, axis=0), noise.floor(0) ** 2
+    assert np.all(abs(found - expected) < 4 * error + 0.1 * expected), (found, expected, error)
 
 
 def test_null_records_keep_gaps_lengths_and_what_is_held_out():
