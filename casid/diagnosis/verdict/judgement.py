@@ -104,15 +104,18 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         test = partial(tested_remainder, found.at, found.search, found.adopted)
         remainder = attempt("the test of the remainder", test)
     disturbances = remainder.disturbances if remainder is not None else ()
-    fitted, held = _errors(found, with_disturbances=bool(disturbances))
+    # Causes found beside a disturbance explain what it leaves.
+    is_beside = bool(disturbances) or bool(found.adopted and found.at.likelihoods.noise.spectra)
+    fitted, held = _errors(found, with_disturbances=is_beside)
     part = held if held.get("extended_rmse") else fitted
+    counted = fitted if is_beside else part  # what is held out has another disturbance in it
     causes = causes_of(found, extended or baseline, problem.columns())
     negated = partial(_with_the_sign, found)
     remaining = _remaining(
         found,
         negated(causes),
-        part,
-        part is held,
+        counted,
+        counted is held,
         extended or baseline,
         remainder,
         false_alarm_rate,
@@ -120,7 +123,9 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     bounds = bounds_met(problem, found.best_fit)
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
         # A parameter held at its bound leaves misfit of its own: it is named first.
-        causes = with_the_unknown(causes, remainder, remaining, found.search.refused)
+        causes = with_the_unknown(
+            causes, remainder, remaining, found.search.refused, is_beside=is_beside
+        )
     compare = partial(_compared_with_functions, found, causes, remainder)
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)

@@ -17,10 +17,13 @@ from casid.diagnosis.search.disturbance_rival import _as_white, _beside, _each_b
 from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.settings import DiagnosisSettings
+from casid.diagnosis.verdict import judgement
+from casid.diagnosis.verdict.open_set import Remainder
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.parameter_effects import parameter_jump
+from tests.diagnosis.verdict.test_open_set import left
 
 TS, N, SD = 0.1, 3000, 0.002
 B, C, K = 0.05, 0.8, 0.25
@@ -89,6 +92,17 @@ def test_a_drag_is_named_in_a_sea() -> None:
     named |= {(a.kind, a.where) for c in found.causes[:1] for a in c.alternatives}
     assert ("quadratic_damping", "moment") in named
     assert [x.where for x in found.disturbances] == ["moment"]
+
+
+def test_a_drag_stays_named_in_a_sea_of_which_more_can_be_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The excess over a sea is known no better than the sea, of 40 independent samples."""
+    something = Remainder(1e-3, 0.02, left().unexplained)
+    monkeypatch.setattr(judgement, "tested_remainder", lambda *_: something)
+    found = casid.diagnose(hull(), record(3, drag=1.5), advise=False)
+    assert found.causes[0].kind == "quadratic_damping"
+    assert found.fitted["noise_floor"] == pytest.approx(found.fitted["extended_rmse"], rel=0.11)
 
 
 def test_spikes_of_a_sensor_are_told_in_a_sea() -> None:
