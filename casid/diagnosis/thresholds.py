@@ -44,6 +44,14 @@ class Sufficiency:
         _SUFFICIENCY,
         "binomial: P(5 or more) = 0.3 %",
     )
+    whiteness_lags: int = _is(20, "lags of the autocorrelation of an output", _SUFFICIENCY)
+    whiteness_alpha: float = _is(
+        0.003,
+        "level at which the largest autocorrelation of an output shows that it is coloured, over "
+        "all lags",
+        _SUFFICIENCY,
+        "the level of the count of lags",
+    )
     lags: int = _is(400, "lags of the correlation with an input, at most", _SUFFICIENCY)
     lag_share: float = _is(0.25, "of the record, at most", _SUFFICIENCY)
     alpha: float = _is(0.01, "level of that correlation, over all lags and inputs", _SUFFICIENCY)
