@@ -242,8 +242,19 @@ def _notes_on_written(outputs: Mapping[str, str]) -> list[str]:
 
 
 def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Findings:
-    """The baseline fitted, and the causes that it is missing."""
-    return search_causes(problem, fit_baseline(problem, split, settings), settings)
+    """The baseline fitted, and the causes that it is missing.
+
+    Levels in gaps of inputs that are estimated by the outputs take up a part of what the model is
+    missing, and no error bar contains that: causes that are found with them are sought once more
+    with levels by the inputs alone, where what the gaps leave is a disturbance.
+    """
+    found = search_causes(problem, fit_baseline(problem, split, settings), settings)
+    is_late = wall_clock() > (settings.began + settings.search_ends) / 2
+    if not found.adopted or not found.baseline.levels or is_late:
+        return found
+    settings.progress("repeat with levels in gaps by the inputs alone")
+    held = search_causes(problem, fit_baseline(problem, split, settings, levels=False), settings)
+    return held if held.adopted else found
 
 
 def _calibrated(

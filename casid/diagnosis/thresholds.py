@@ -153,6 +153,7 @@ class Outliers:
 
 
 _STEPS_IN_GAPS = f"{TESTS}/evidence/test_steps_in_gaps.py"
+_LEVELS_IN_GAPS = f"{TESTS}/evidence/test_levels_in_gaps.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +168,26 @@ class StepsInGaps:
     )
     rounds: int = _is(
         3, "passes over all gaps, as what an earlier one left moves the residual", _STEPS_IN_GAPS
+    )
+    busy: float = _is(
+        0.5,
+        "of the samples at which an input changes: beyond, it is controlled, and has a level of "
+        "its own in each gap instead of a step",
+        _LEVELS_IN_GAPS,
+    )
+    passes: int = _is(
+        2,
+        "estimates of the levels in gaps, each followed by a fit: the first begins from "
+        "parameters that the wrong levels moved",
+        _LEVELS_IN_GAPS,
+    )
+    memory: float = _is(
+        0.999, "of one sample that the next one has, at most: a residual ends", _LEVELS_IN_GAPS
+    )
+    simulated: int = _is(
+        1_000_000,
+        "samples behind all gaps together that are simulated for the levels in them: seconds",
+        _LEVELS_IN_GAPS,
     )
 
 
