@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -30,6 +30,7 @@ from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.identifiability.requirement import require_identifiable
 from casid.model.rate_laws import with_balances
+from casid.model.written_accelerations import with_written_accelerations
 from casid.time_limit import until, wall_clock
 from casid.versions import versions
 
@@ -123,7 +124,8 @@ def diagnose(
         hold_out = with_gaps_treated(problem.model, hold_out, problem.recorded)
     problem, chosen = in_si(problem, experiments_of(problem, experiments))
     problem = with_unused_columns(problem, chosen)
-    problem = replace(problem, model=with_balances(problem.model))
+    model, written = with_written_accelerations(with_balances(problem.model))
+    problem = replace(problem, model=model)
     chosen = with_gaps_treated(problem.model, chosen, problem.recorded)
     require_settings(problem, false_alarm_rate, max_causes, without, budget)
     if calibrate:
@@ -146,7 +148,7 @@ def diagnose(
     require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
-    diagnosis = _concluded(problem, found, calibration, settings, plan=advise)
+    diagnosis = _concluded(problem, found, calibration, settings, plan=advise, written=written)
     return diagnosis.in_units(found.best_fit.criterion.model.declared_units)
 
 
@@ -183,8 +185,12 @@ def _concluded(
     settings: DiagnosisSettings,
     *,
     plan: bool,
+    written: Mapping[str, str],
 ) -> Diagnosis:
-    """Verdict and advice; `plan` as in `recommend`, `settings` with the requested level."""
+    """Verdict and advice; `plan` as in `recommend`, `settings` with the requested level.
+
+    `written` as from `with_written_accelerations`.
+    """
     false_alarm_rate = settings.alpha
     attempts = found.search.attempts
     attempts.ends = max(settings.ends, attempts.ends)
@@ -214,7 +220,7 @@ def _concluded(
         proposals=advice.proposals,
         limits=Limits(
             false_alarm_rate=false_alarm_rate,
-            notes=notes_on(problem, found, judged),
+            notes=(*notes_on(problem, found, judged), *_notes_on_written(written)),
             unexplained=remainder.unexplained if remainder is not None else None,
             isolability=advice.isolability,
             undetectable=advice.undetectable,
@@ -226,9 +232,29 @@ def _concluded(
     )
 
 
+def _notes_on_written(outputs: Mapping[str, str]) -> list[str]:
+    """What is taken of accelerations that the model writes as forces; output -> balance."""
+    return [
+        f"{output} is written as the known forces of the {balance} balance; as an accelerometer "
+        "responds to every force, a force that is missing there moves it too"
+        for output, balance in outputs.items()
+    ]
+
+
 def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Findings:
-    """The baseline fitted, and the causes that it is missing."""
-    return search_causes(problem, fit_baseline(problem, split, settings), settings)
+    """The baseline fitted, and the causes that it is missing.
+
+    Levels in gaps of inputs that are estimated by the outputs take up a part of what the model is
+    missing, and no error bar contains that: causes that are found with them are sought once more
+    with levels by the inputs alone, where what the gaps leave is a disturbance.
+    """
+    found = search_causes(problem, fit_baseline(problem, split, settings), settings)
+    is_late = wall_clock() > (settings.began + settings.search_ends) / 2
+    if not found.adopted or not found.baseline.levels or is_late:
+        return found
+    settings.progress("repeat with levels in gaps by the inputs alone")
+    held = search_causes(problem, fit_baseline(problem, split, settings, levels=False), settings)
+    return held if held.adopted else found
 
 
 def _calibrated(

@@ -44,6 +44,14 @@ class Sufficiency:
         _SUFFICIENCY,
         "binomial: P(5 or more) = 0.3 %",
     )
+    whiteness_lags: int = _is(20, "lags of the autocorrelation of an output", _SUFFICIENCY)
+    whiteness_alpha: float = _is(
+        0.003,
+        "level at which the largest autocorrelation of an output shows that it is coloured, over "
+        "all lags",
+        _SUFFICIENCY,
+        "the level of the count of lags",
+    )
     lags: int = _is(400, "lags of the correlation with an input, at most", _SUFFICIENCY)
     lag_share: float = _is(0.25, "of the record, at most", _SUFFICIENCY)
     alpha: float = _is(0.01, "level of that correlation, over all lags and inputs", _SUFFICIENCY)
@@ -145,6 +153,7 @@ class Outliers:
 
 
 _STEPS_IN_GAPS = f"{TESTS}/evidence/test_steps_in_gaps.py"
+_LEVELS_IN_GAPS = f"{TESTS}/evidence/test_levels_in_gaps.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +168,26 @@ class StepsInGaps:
     )
     rounds: int = _is(
         3, "passes over all gaps, as what an earlier one left moves the residual", _STEPS_IN_GAPS
+    )
+    busy: float = _is(
+        0.5,
+        "of the samples at which an input changes: beyond, it is controlled, and has a level of "
+        "its own in each gap instead of a step",
+        _LEVELS_IN_GAPS,
+    )
+    passes: int = _is(
+        2,
+        "estimates of the levels in gaps, each followed by a fit: the first begins from "
+        "parameters that the wrong levels moved",
+        _LEVELS_IN_GAPS,
+    )
+    memory: float = _is(
+        0.999, "of one sample that the next one has, at most: a residual ends", _LEVELS_IN_GAPS
+    )
+    simulated: int = _is(
+        1_000_000,
+        "samples behind all gaps together that are simulated for the levels in them: seconds",
+        _LEVELS_IN_GAPS,
     )
 
 

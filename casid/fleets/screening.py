@@ -56,6 +56,7 @@ from casid.fleets.thresholds import SCREENING
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.user_effects import user_effects
 from casid.model.rate_laws import with_balances
+from casid.model.written_accelerations import with_written_accelerations
 
 
 @dataclass(frozen=True, slots=True)
@@ -405,7 +406,8 @@ def _prepared(problem: Problem, experiment: Experiment) -> tuple[Problem, Experi
     """Problem and record as a diagnosis prepares them; the record in one piece."""
     problem, (record,) = in_si(problem, [experiment])
     problem = with_unused_columns(problem, [record])
-    problem = replace(problem, model=with_balances(problem.model))
+    model, _ = with_written_accelerations(with_balances(problem.model))
+    problem = replace(problem, model=model)
     pieces = with_gaps_treated(problem.model, [record], problem.recorded)
     if len(pieces) != 1:
         raise DataError(f"{record.name}: gaps of its inputs cut it into {len(pieces)} pieces")

@@ -25,7 +25,7 @@ from casid.diagnosis.verdict.remainder import NoiseFound, what_remains
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.estimation.estimate import Estimated
 from casid.model.effects.effect import KINDS as CATALOGUE
-from casid.model.effects.names import _NAMES, effect_words
+from casid.model.effects.names import _NAMES, ANYWHERE, effect_words
 from casid.report.document import Document, plain
 from casid.report.html.page import html_page
 from casid.report.numbers import p_text
@@ -228,3 +228,8 @@ def test_a_disturbance_that_depends_on_states_is_not_said_to_be_independent_of_t
     text = _of_disturbance("", replace(loose, p_dependence=1e-65), LEVEL)[0]
     assert "no function of states, inputs or recorded channels explains it" not in text
     assert "p = 1e-65" in text
+
+
+def test_an_unknown_cause_without_a_place_is_in_the_model():
+    assert effect_words("unknown", ANYWHERE) == "unidentified term in the model"
+    assert effect_words("unknown", "force: x v") == "unidentified term like x v in force"

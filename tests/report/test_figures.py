@@ -279,6 +279,14 @@ def test_moved_parameters_are_drawn_from_before_to_after_each_in_its_own_unit():
     assert low < 10.41 - 1.96 * 0.02 < 10.52 + 1.96 * 0.02 < high
 
 
+def test_a_move_of_the_fifth_digit_is_written_with_it():
+    d = samples.rich()
+    moved = (Moved("kT", "N", 26.0012, 25.9987, 0.001), Moved("k", "N m", 10.52, 10.41, 0.02))
+    text = str(replace(d, gain=replace(d.gain, moved=moved)))
+    assert "kT from 26.0012 to 25.9987 N" in text
+    assert "k from 10.52 to 10.41 N m" in text
+
+
 def test_a_hopeless_interval_does_not_hide_a_move():
     figure = moved_figure([Moved("k", "N m", 1.0, 2.0, 0.1, 1e6)], "pendulum")
     low, high = figure.layout.xaxis.range

@@ -11,6 +11,7 @@ import numpy as np
 from casid.data.problem import Problem
 from casid.diagnosis.attempts import FAILURES, reason_of
 from casid.diagnosis.evidence.corrupted_samples import CorruptedSamples, without_corrupted
+from casid.diagnosis.evidence.levels_in_gaps import with_levels_in_gaps
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.recorded_channels import channels_held_out_too, recorded_beside
 from casid.diagnosis.evidence.robust_errors import std_error
@@ -24,6 +25,7 @@ from casid.diagnosis.evidence.sufficiency import (
 )
 from casid.diagnosis.evidence.unstable_records import in_windows
 from casid.diagnosis.settings import DiagnosisSettings
+from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.holdout import Split, holding_out_less
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
@@ -54,6 +56,7 @@ class Baseline:
     corrupted : samples left out.
     negated : a channel that probably has the wrong sign.
     why_undecided : why the records support no answer, or an empty text.
+    levels : gaps in which levels of inputs are estimated.
     why_doubtful : why `fit` says little by itself, or an empty text. A cause that is added may mend
         that; where none does, the records support no answer.
     """
@@ -71,10 +74,15 @@ class Baseline:
     why_doubtful: str = ""
     is_fitted: bool = True
     notes: tuple[str, ...] = ()
+    levels: int = 0
 
 
-def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
+def fit_baseline(
+    problem: Problem, split: Split, settings: DiagnosisSettings, *, levels: bool = True
+) -> Baseline:
     """Fit the model as it is, and find its noise.
+
+    `levels`: whether those of inputs in gaps are estimated by the outputs, too.
 
     Raises
     ------
@@ -85,7 +93,7 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
     if not reason:
         try:
             with until(settings.search_ends):
-                return _determined(problem, split, settings)
+                return _determined(problem, split, settings, levels)
         except OutOfTimeError:
             reason = (
                 "the budget of time ended before the model as it is was fitted: fit a shorter "
@@ -98,7 +106,9 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
     return _uninformative(problem, split, settings.fit, reason)
 
 
-def _determined(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
+def _determined(
+    problem: Problem, split: Split, settings: DiagnosisSettings, levels: bool
+) -> Baseline:
     """The model fitted to so much of the records that they determine its parameters.
 
     What is not seen of them in the first part of a record may be seen in its end.
@@ -106,7 +116,7 @@ def _determined(problem: Problem, split: Split, settings: DiagnosisSettings) -> 
     less = split
     while True:
         try:
-            found = _fitted(problem, less, settings)
+            found = _fitted(problem, less, settings, levels)
         except IdentifiabilityError:
             if not any(bool(held.any()) for held in less.held):
                 raise
@@ -124,7 +134,7 @@ def _determined(problem: Problem, split: Split, settings: DiagnosisSettings) -> 
         return replace(found, notes=(*found.notes, note))
 
 
-def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
+def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings, levels: bool) -> Baseline:
     say = settings.progress
     say("fit the model as it is")
     split, of_windows = in_windows(problem.model, split, settings.fit, say)
@@ -140,6 +150,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     if moved:
         say(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
         fit = _again(problem, split, settings, fit)
+    split, fit, gaps = _levelled(problem, split, settings, fit, by_outputs=levels)
     corrupted, split = without_corrupted(
         fit, split, settings.alpha, without=tuple(settings.without)
     )
@@ -170,7 +181,23 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         why_undecided=undecided,
         why_doubtful="" if undecided else why_doubtful(fit, start, errors),
         notes=(of_windows, *notes) if of_windows else notes,
+        levels=gaps,
     )
+
+
+def _levelled(
+    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit, *, by_outputs: bool
+) -> tuple[Split, Fit, int]:
+    """The records with levels in the gaps of controlled inputs, their fit, and how many gaps."""
+    count = 0
+    for _ in range(STEPS_IN_GAPS.passes if by_outputs else 1):
+        split, count = with_levels_in_gaps(fit, split, by_outputs=by_outputs)
+        if not count:
+            break
+        gaps = count_text(count, "gap")
+        settings.progress(f"estimate the levels of held inputs in {gaps} and fit again")
+        fit = _again(problem, split, settings, fit)
+    return split, fit, count
 
 
 def _with_signs_as_recorded(

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.sampling import stretches_of
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
@@ -39,6 +39,7 @@ class _Step:
 def with_steps_in_gaps(fit: Fit, split: Split) -> tuple[Split, int]:
     """The records with inputs filled by (1), and how many steps were moved.
 
+    Inputs that have another level at most samples have no steps in gaps (`levels_in_gaps`).
     A model that prepares its input columns is left alone: what it does depends on the whole column.
     """
     model = fit.criterion.model
@@ -59,7 +60,7 @@ def with_steps_in_gaps(fit: Fit, split: Split) -> tuple[Split, int]:
             break
     if not moved:
         return split, 0
-    fitted = [_begun_as(f, e) for f, e in zip(split.fitted, whole, strict=True)]
+    fitted = [begun_as(f, e) for f, e in zip(split.fitted, whole, strict=True)]
     return Split(fitted, whole, split.held, apart), moved
 
 
@@ -113,10 +114,18 @@ def _steps_of(fit: Fit, d: Signals) -> list[_Step]:
     for i, name in enumerate(model.inputs):
         if name not in d.filled or model.acting_hold(name) != "zoh":
             continue
+        if is_busy(d.u[:, i], d.filled[name]):
+            continue
         for first, stop in zip(*stretches_of(d.filled[name]), strict=True):
             if 0 < first and stop < d.N and d.u[first - 1, i] != d.u[stop, i]:
                 out.append(_Step(name, int(first), int(stop)))
     return sorted(out, key=lambda step: step.first)
+
+
+def is_busy(u: Array, gone: BoolArray) -> bool:
+    """True for an input (N,) that has another level at most samples: no steps, a control."""
+    both = ~(gone[1:] | gone[:-1])
+    return bool(both.any() and np.mean(np.diff(u)[both] != 0.0) > STEPS_IN_GAPS.busy)
 
 
 def _with_columns(experiment: Experiment, columns: Mapping[str, Array]) -> Experiment:
@@ -128,7 +137,7 @@ def _with_columns(experiment: Experiment, columns: Mapping[str, Array]) -> Exper
     return replace(experiment, record=replace(record, channels=channels, provenance=(*old, note)))
 
 
-def _begun_as(fitted: Experiment, whole: Experiment) -> Experiment:
+def begun_as(fitted: Experiment, whole: Experiment) -> Experiment:
     """The fitted part of a record with the inputs of the whole."""
     columns = {
         name: whole.record[name][: fitted.record.N]

@@ -13,11 +13,11 @@ import numpy as np
 from scipy.signal import correlate
 from scipy.stats import norm
 
-from casid.arrays import TINY
+from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import SUFFICIENCY
-from casid.estimation.covariance import FEWEST_FOR_WHITENESS, whiteness
+from casid.estimation.covariance import FEWEST_FOR_WHITENESS, autocorrelation, whiteness
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split
@@ -105,7 +105,7 @@ def _is_noise(e: Experiment, output: str, inputs: Sequence[str], tests: int) -> 
         return False
     if not np.any(y):
         return True
-    if whiteness(read) > SUFFICIENCY.lags_outside:
+    if _is_coloured(read):
         return False
     lags = min(int(SUFFICIENCY.lag_share * y.size), SUFFICIENCY.lags)
     bound = float(norm.isf(0.5 * SUFFICIENCY.alpha / (lags * max(len(inputs), 1) * tests)))
@@ -118,6 +118,17 @@ def _is_noise(e: Experiment, output: str, inputs: Sequence[str], tests: int) -> 
         if float(np.max(np.abs(r))) > bound * size:
             return False
     return True
+
+
+def _is_coloured(y: Array) -> bool:
+    """True if too many autocorrelations of `y` lie outside their bounds, or one far outside.
+
+    A motion that dies away between the samples of a slow or uneven clock colours a lag or two.
+    """
+    lags = min(SUFFICIENCY.whiteness_lags, y.size - 2)
+    bound = float(norm.isf(0.5 * SUFFICIENCY.whiteness_alpha / lags)) / math.sqrt(y.size)
+    largest = float(np.max(np.abs(autocorrelation(y, lags))))
+    return largest > bound or whiteness(y, lags) > SUFFICIENCY.lags_outside
 
 
 def still_inputs(c: SimulationError) -> str:

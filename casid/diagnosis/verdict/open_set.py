@@ -36,6 +36,7 @@ from casid.diagnosis.verdict.cause import SIMILAR, Alternative, Cause
 from casid.diagnosis.verdict.remainder import Remaining
 from casid.diagnosis.verdict.unnamed_alternatives import UnnamedAlternative
 from casid.model.effects.effect import OF_SAMPLES
+from casid.model.effects.names import ANYWHERE, unknown_place
 
 _RANDOM = (NOISE, DISTURBANCE)
 
@@ -173,7 +174,7 @@ def with_the_unknown(
     named = [c for c in causes if c.kind not in OF_SAMPLES]
     if named and (is_beside or share < JUDGING.doubtful):
         return list(causes)
-    where = found.where or (named[0].where if named else "model")
+    where = found.where or (named[0].where if named else ANYWHERE)
     alternatives: tuple[Alternative, ...] = ()
     others = list(causes)
     if len(named) == 1 and named[0].kind != "unknown":
@@ -216,6 +217,7 @@ def _unknown(
         parameters=(),
         alternatives=alternatives,
         share=share,
-        sentence=f"an unidentified term in {where}: no effect of the catalogue explains it",
+        sentence=f"an unidentified term in {unknown_place(where)}: no effect of the catalogue "
+        "explains it",
         description=remainder.unexplained.sentence,
     )

@@ -23,7 +23,9 @@ from casid.model.declarations import Hold
 from casid.model.model import Model
 from casid.model.quantities import count_text
 
-_CUT, _FILLED = "remark: cut at long gaps of ", "remark: filled: "
+_CUT = "remark: cut at long gaps of "
+FILLED = "remark: filled: "
+"""What the line of a record's history begins with that says how an input was filled."""
 
 
 def filled(record: Record, name: str, hold: Hold) -> Array:
@@ -131,7 +133,7 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
     for name in [n for n in missing if n in beside and n not in model.outputs]:
         gone = missing[name]
         if gone.any() and not long_gaps(record, name).any():
-            lines.append(f"{_FILLED}{name}, recorded beside, is joined by straight lines in gaps")
+            lines.append(f"{FILLED}{name}, recorded beside, is joined by straight lines in gaps")
             channels[name] = record.filled(name)
             del missing[name]
     for name in [n for n in missing if not missing[n].all()]:
@@ -147,11 +149,11 @@ def _filling(names: Sequence[str], how: str, found: Gaps, record: Record) -> str
     has, misses, are = ("have", "miss", "they are") if first else ("has", "misses", "it is")
     if found.rate is not None:
         return (
-            f"{_FILLED}{who} {has} a value in one sample of {found.rate} alone: {are} {how} "
+            f"{FILLED}{who} {has} a value in one sample of {found.rate} alone: {are} {how} "
             "between them"
         )
     return (
-        f"{_FILLED}{who} {misses} {found.missing} samples "
+        f"{FILLED}{who} {misses} {found.missing} samples "
         f"({100 * found.missing / record.N:.2g} %) in {count_text(found.stretches, 'gap')}"
         f" of up to {found.longest * record.Ts:.3g} s: {are} "
         f"{how} there"
@@ -192,8 +194,8 @@ def _parts(model: Model, experiment: Experiment) -> list[Experiment]:
 def gap_notes(experiments: Sequence[Experiment]) -> list[str]:
     """Warnings of inputs that were filled, and of records that were cut."""
     return [
-        f"{e.name}: {line.removeprefix('remark: ')}".replace(_FILLED.removeprefix("remark: "), "")
+        f"{e.name}: {line.removeprefix('remark: ')}".replace(FILLED.removeprefix("remark: "), "")
         for e in experiments
         for line in e.record.provenance
-        if line.startswith((_CUT, _FILLED))
+        if line.startswith((_CUT, FILLED))
     ]

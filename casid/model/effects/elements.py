@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.model.declared_units import common_unit
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.place import Expr, Place, is_mechanical, is_zero
 from casid.model.formula_text import formula_text
@@ -216,6 +217,7 @@ class _Elements:
             mine = [q for q in moving if self._rate_is_of(q, {own})]
             reference = mine[0] if mine else next(iter(moving))
         sign = float(np.sign(self._number(moving[reference])))
+        size: Expr | None = None
         if velocity is not None and position is not None and len(position) > 1:
             scale = moving[reference]  # both sums have the same coefficients
             velocity = {n: self._simple(c / scale) for n, c in velocity.items()}
@@ -223,6 +225,7 @@ class _Elements:
         elif velocity is not None:
             scale = velocity[reference]
             velocity = {n: self._simple(c / scale) for n, c in velocity.items()}
+            size = self._size_as_written(first.shape, reference) if position is None else None
             if position is not None:
                 position = {n: self._simple(sign * c) for n, c in position.items()}
         else:
@@ -239,20 +242,39 @@ class _Elements:
         units = self.model.symbol_units
         moving = velocity if velocity is not None else position
         assert moving is not None
-        row = first.row
+        row, name = first.row, _text(moving)
+        unit = "1" if velocity is None else units[reference]
+        if size is not None:
+            name = f"({name}){_factor_text(size)}"
+            unit = common_unit([size * self.model.symbol(reference)], units, is_rotation=False)
+            velocity = {n: c * size for n, c in moving.items()}
         return Place(
-            where=_text(moving),
+            where=name,
             unit=self.model.balances[row].unit,
             velocity=None if velocity is None else self._expression(velocity),
-            velocity_unit="1" if velocity is None else units[reference],
+            velocity_unit=unit,
             position=None if position is None else self._expression(position),
             position_unit="1" if position is None else units[next(iter(position))],
             shares=tuple(shares),
-            velocity_name="" if velocity is None else _text(velocity),
+            velocity_name="" if velocity is None else _text(velocity) if size is None else name,
             position_name="" if position is None else _text(position),
             stiffness=self._slope(first.term, position) if is_spring else None,
             damping=None if is_spring else self._slope(first.term, velocity),
         )
+
+    def _size_as_written(self, shape: Expr, reference: str) -> Expr | None:
+        """The factor of a motion that differs between load cases, None where it does not.
+
+        A law of the angle at which a tyre slips is one law at all speeds, where a law of the
+        velocity across it is another at each.
+        """
+        known = self.model.parameters
+        slope = ca.jacobian(shape, self.model.symbol(reference))
+        size = self._simple(slope)
+        symbols = [known[s.name()] for s in ca.symvar(size) if s.name() in known]
+        if any(not p.is_known for p in symbols) or all(p.is_constant for p in symbols):
+            return None
+        return size if self._number(size) > 0 else self._simple(-size)
 
     def _slope(self, term: Expr, coordinate: Mapping[str, Expr] | None) -> Expr | None:
         """-d(term)/d(coordinate) where the coordinate is zero."""
@@ -393,3 +415,9 @@ def _text(coefficients: Mapping[str, Expr]) -> str:
             term = formula_text(c * ca.SX.sym(name)).replace(" ", "")
         out += "+" * (bool(out) and not term.startswith("-")) + term
     return out
+
+
+def _factor_text(size: Expr) -> str:
+    """A factor behind a sum in brackets: "/V", "*V"."""
+    head, slash, rest = formula_text(size).replace(" ", "").partition("/")
+    return f"/{rest}" if slash and head == "1" else f"*{head}{slash}{rest}"

@@ -63,6 +63,15 @@ STORE = "a further store"
 """How the description begins of a store that the model omits."""
 
 
+ANYWHERE = "model"
+"""The place of an unknown cause whose balance or output is not determined."""
+
+
+def unknown_place(where: str) -> str:
+    """The place of an unknown cause in words."""
+    return "the model" if where == ANYWHERE else where
+
+
 def effect_words(kind: str, where: str, *, description: str = "") -> str:
     """An effect and its place in words; a kind of the user's own keeps its name.
 
@@ -75,7 +84,8 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
         return f"{kind} in {where}"
     if kind == "unknown":
         at, _, shape = where.partition(": ")
-        return f"unidentified term like {shape} in {at}" if shape else f"unidentified term in {at}"
+        like = f" like {shape}" if shape else ""
+        return f"unidentified term{like} in {unknown_place(at)}"
     at, _, variant = where.partition(": ")
     place = f"the {at} balance" if at.isidentifier() else at
     own, _, source = at.partition("~")

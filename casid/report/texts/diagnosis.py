@@ -130,9 +130,19 @@ def _moved(d: Diagnosis) -> Iterator[str]:
     for m in d.moved[:_LISTED]:
         far = "" if m.shift is None else f", by {abs(m.shift):.3g} standard errors"
         unit = f" {m.unit}" if m.unit != "1" else ""
-        yield f"{m.name} from {m.before:.4g} to {m.after:.4g}{unit}{far}"
+        before, after = _apart(m.before, m.after)
+        yield f"{m.name} from {before} to {after}{unit}{far}"
     if len(d.moved) > _LISTED:
         yield f"and {len(d.moved) - _LISTED} more"
+
+
+def _apart(a: float, b: float) -> tuple[str, str]:
+    """Two values to the second digit of their difference, four digits at least and nine at most."""
+    largest, apart = max(abs(a), abs(b)), abs(a - b)
+    digits = 4
+    if 0.0 < apart < largest < math.inf:
+        digits = max(4, math.floor(math.log10(largest)) - math.floor(math.log10(apart)) + 2)
+    return f"{a:.{min(digits, 9)}g}", f"{b:.{min(digits, 9)}g}"
 
 
 def _first(names: list[str]) -> str:

@@ -265,3 +265,26 @@ def test_a_curve_that_is_read_here_and_there_is_no_noise(readings):
     scattered = dataclasses.replace(with_channels(record, **{name: curve}), missing={name: missing})
     split = split_records([problem.experiment(scattered)], 0.0)
     assert why_uninformative(problem.model, split) == ""
+
+
+def test_doses_that_a_slow_clock_hardly_follows_are_no_noise():
+    """One autocorrelation far beyond its bound is enough: a dose is gone after a few readings."""
+    m = casid.Model("one compartment")
+    c, u = m.state("c", "mg/L"), m.input("u", "mg/h", hold="zoh", known=True)
+    CL = m.parameter("CL", "L/h", start=4.0, lower=0.1)
+    m.balance(c, "plasma", inertia=m.constant("V", 18.0, "L"), terms=[u, -CL * c])
+    m.output("c_p", c, "mg/L")
+    rng = np.random.default_rng(3)
+    grid = 0.05 * np.arange(1440)
+    dose = np.where((grid % 12 < 0.5) & (rng.random(6).repeat(240) > 0.1), 800.0, 0.0)
+    level = np.zeros(grid.size)
+    for i in range(grid.size - 1):
+        level[i + 1] = level[i] + 0.05 * (dose[i] - 4.0 * level[i]) / 18.0
+    missing = np.ones(grid.size, dtype=bool)
+    missing[rng.choice(grid.size, 90, replace=False)] = False
+    read = level + 0.1 * rng.standard_normal(grid.size)
+    channels = {"u": dose / 3.6e9, "c_p": read / 1e3}
+    record = casid.Record(channels, {"u": "kg/s", "c_p": "kg/m^3"}, 180.0)
+    record = record.mark_missing("c_p", missing)
+    split = split_records([casid.Experiment(record, {}, "doses")], 0.0)
+    assert why_uninformative(casid.Problem("doses", m).model, split) == ""

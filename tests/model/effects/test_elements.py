@@ -9,7 +9,7 @@ import casid
 from casid.diagnosis.verdict.sentences import says
 from casid.errors import ModelError
 from casid.model.dimensions import check_units
-from casid.model.effects.balance_effects import cubic_stiffness, offset
+from casid.model.effects.balance_effects import cubic_damping, cubic_stiffness, offset
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Sizes
 from casid.model.effects.elements import elements_of
@@ -51,6 +51,21 @@ def quarter_car() -> casid.Model:
     wheel = [k * x - k * y, c * v - c * w, t * (road - y)]
     m.balance(w, "wheel", inertia=m.parameter("m", "kg"), terms=wheel)
     m.output("travel", x - y, "m")
+    return m
+
+
+def car(*, is_one_speed: bool) -> casid.Model:
+    """The lateral motion of a car on linear tyres, at speeds of its load cases or at one alone."""
+    m = casid.Model("car")
+    v, r, steer = m.state("v", "m/s"), m.state("r", "rad/s"), m.input("steer", "rad")
+    V = m.constant("V", 20.0, "m/s") if is_one_speed else m.parameter("V", "m/s", value=20.0)
+    M, a, b = m.constant("M", 1500.0, "kg"), m.constant("a", 1.2, "m"), m.constant("b", 1.4, "m")
+    front = m.parameter("C_f", "N/rad", start=5e4) * (steer - (v + a * r) / V)
+    rear = -m.parameter("C_r", "N/rad", start=5e4) * (v - b * r) / V
+    m.balance(v, "side", inertia=M, terms=[front, rear, -M * V * r])
+    inertia = m.parameter("J", "kg m^2", start=2500.0)
+    m.balance(r, "yaw", inertia=inertia, terms=[a * front, -b * rear])
+    m.output("yaw_rate", r, "rad/s")
     return m
 
 
@@ -105,6 +120,21 @@ def test_a_road_that_moves_makes_the_tyre_an_element_of_one_balance():
     assert (tyre.where, tyre.velocity) == ("y-road", None)
     assert shares(tyre) == [("wheel", "1")]
     assert cubic_stiffness(quarter_car(), "y-road") is not None
+
+
+def test_tyres_slip_by_an_angle_that_is_the_same_law_at_every_speed():
+    """A speed that differs between load cases stays in the motion; a constant is divided out."""
+    model = car(is_one_speed=False)
+    front, rear = elements_of(model)
+    assert (front.where, rear.where) == ("(v+a*r-V*steer)/V", "(v-b*r)/V")
+    assert (front.velocity_unit, front.velocity_power(3), str(front.damping)) == ("1", "N", "C_f")
+    assert shares(front) == [("side", "1"), ("yaw", "a")]
+    names = ("v", "r", "steer", "V", "a")
+    angle = ca.Function("f", [model.symbol(n) for n in names], [front.velocity])
+    assert float(angle(1.0, 0.5, 0.1, 20.0, 1.2)) == pytest.approx(1.6 / 20 - 0.1)
+    check_units(model.extend(cubic_damping(model, front.where)))
+    front, _ = elements_of(car(is_one_speed=True))
+    assert (front.where, front.velocity_unit) == ("v+a*r-V*steer", "m/s")
 
 
 def test_a_heat_flow_between_two_stores_enters_a_derivative_too():
