@@ -91,12 +91,15 @@ def test_a_file_without_names_is_read_by_the_places_of_its_columns(tmp_path):
     lines = [f"{2 * k:7.2f}   {9.0:.3f}  {v:.7e}\t" for k, v in enumerate(y)]
     path = tmp_path / "run.dat"
     path.write_text("\n".join(lines) + "\n")
-    record = read_record(path, {"u": "column 2", "T": ("column 3", "degC", "degC")}, time="column 1")
-    assert record.Ts == 2.0 and record["u"] == pytest.approx(9.0)
+    columns = {"u": "column 2", "T": ("column 3", "degC", "degC")}
+    record = read_record(path, columns, time="column 1")
+    assert record.Ts == 2.0
+    assert record["u"] == pytest.approx(9.0)
     assert record["T"] - 273.15 == pytest.approx(y)
     path.write_text("\n" + "".join(f"{0.1 * k:.1f},{v:.3f},\n" for k, v in enumerate(y)) + "4.0,3")
     record = read_record(path, time="column 1")
-    assert list(record) == ["column 2"] and record.N == 41
+    assert list(record) == ["column 2"]
+    assert record.N == 41
     path.write_text("\n\n".join(f"{v:.2f}" for v in y))
     assert read_record(path, Ts=0.5)["column 1"] == pytest.approx(y, abs=0.006)
 
