@@ -48,7 +48,9 @@ def recommend(
     """
     table, base = found.search.first_table, found.baseline
     attempt = found.search.attempts.attempt
+    # What may be the cause is seen, whatever the model without the others shows of it.
     named = {(c.kind, c.where) for c in judged.causes}
+    named |= {(a.kind, a.where) for c in judged.causes for a in c.alternatives}
     absorbed = [e.key for _, e in absorbed_effects(table, problem.model)] if table else []
     planned = None
     if plan:

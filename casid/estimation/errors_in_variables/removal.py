@@ -201,7 +201,7 @@ def _left_by_noise(root: _Root) -> Array:
     left = left_by_noise(
         root.criterion, root.x, root.free, found.sd, found.noise.output_sd, root.seed
     )
-    return np.maximum(left.sum(axis=1), TINY)
+    return np.asarray(np.maximum(left.sum(axis=1), TINY))
 
 
 _OVERFLOWS = "the simulation overflows beside the fit"
