@@ -14,6 +14,7 @@ import casid
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.verdict.sentences import verdict_sentence
+from casid.estimation.estimate import Estimated
 from casid.model.effects.channel_effects import dead_time, sensor_bias, sensor_lag, time_delay
 from casid.model.effects.names import effect_words
 
@@ -140,5 +141,9 @@ def test_the_delay_of_a_pulse_width_is_a_time_and_no_width(make):
     m.output("x", x, "deg")
     new, names = make(m, "pulse", 0.5).extended(m)
     assert new.unit_of(names[0]) == "s"
+    found = Cause("time_delay", "pulse", 0.01, (Estimated(names[0], 0.04, "s"),))
+    assert found.in_units(new.declared_units).parameters[0].unit == "s"
+    found = Cause("sensor_bias", "pulse", 0.01, (Estimated("bias", 1e-5, "s"),))
+    assert found.in_units(new.declared_units).parameters[0].value == pytest.approx(10.0)
     shifted, (bias, *_) = sensor_bias(m, "pulse").extended(m)
     assert shifted.unit_of(bias) == "us"
