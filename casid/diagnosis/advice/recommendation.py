@@ -48,9 +48,7 @@ def recommend(
     """
     table, base = found.search.first_table, found.baseline
     attempt = found.search.attempts.attempt
-    # What may be the cause is seen, whatever the model without the others shows of it.
-    named = {(c.kind, c.where) for c in judged.causes}
-    named |= {(a.kind, a.where) for c in judged.causes for a in c.alternatives}
+    named = _seen(judged.causes)
     absorbed = [e.key for _, e in absorbed_effects(table, problem.model)] if table else []
     planned = None
     if plan:
@@ -95,6 +93,11 @@ def recommend(
         undetectable=tuple(u for u in undetectable or () if (u.kind, u.where) not in named),
         proposals=planned.proposals if planned is not None else (),
     )
+
+
+def _seen(causes: Sequence[Cause]) -> set[tuple[str, str]]:
+    """Kinds and places of what may be a cause: seen, if not in the model without the others."""
+    return {(x.kind, x.where) for c in causes for x in (c, *c.alternatives)}
 
 
 def _planned(problem: Problem, found: Findings, causes: Sequence[Cause]) -> Advice | None:

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.advice.recommendation import _seen
 from casid.diagnosis.advice.undetectable import Undetectable, absorbed_effects, undetectable_effects
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
+from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
@@ -144,3 +146,10 @@ def test_what_is_visible_is_not_listed_and_structural_causes_come_first(fitted):
     assert list(found) == [("offset", "torque"), ("extra_input", "speed")]
     plain = json.loads(json.dumps([i.to_json() for i in found.values()]))
     assert plain[0]["reason"] == "structural"
+
+
+def test_what_may_be_the_cause_is_seen():
+    """A lag that explains as well as a jump was called undetectable in the same report."""
+    rival = Alternative("sensor_lag", "T", 0.4, "explains the misfit as well")
+    cause = Cause("parameter_jump", "T_a", 0.01, (), (rival,))
+    assert _seen([cause]) == {("parameter_jump", "T_a"), ("sensor_lag", "T")}
