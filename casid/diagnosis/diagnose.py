@@ -214,7 +214,7 @@ def _concluded(
         proposals=advice.proposals,
         limits=Limits(
             false_alarm_rate=false_alarm_rate,
-            notes=notes_on(problem, found, judged),
+            notes=(*advice.notes, *notes_on(problem, found, judged)),
             unexplained=remainder.unexplained if remainder is not None else None,
             isolability=advice.isolability,
             undetectable=advice.undetectable,

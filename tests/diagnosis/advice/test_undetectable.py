@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.advice.recommendation import _seen
+from casid.diagnosis.advice.recommendation import _seen, by_others
 from casid.diagnosis.advice.undetectable import Undetectable, absorbed_effects, undetectable_effects
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
@@ -153,3 +153,18 @@ def test_what_may_be_the_cause_is_seen():
     rival = Alternative("sensor_lag", "T", 0.4, "explains the misfit as well")
     cause = Cause("parameter_jump", "T_a", 0.01, (), (rival,))
     assert _seen([cause]) == {("parameter_jump", "T_a"), ("sensor_lag", "T")}
+
+
+def test_a_cause_that_the_others_alone_make_identifiable_is_flagged():
+    """A bias of 0.2 V stood beside a resting level that had moved by -0.2 V."""
+    bent = Cause("scheduled_parameter", "tau~y", 0.01, ())
+    bias = Cause("sensor_bias", "y", 0.01, ())
+    absorbed = [
+        Undetectable("sensor_bias", "y", "structural", 0.0, ("y_0",)),
+        Undetectable("scheduled_parameter", "tau~y", "practical", 0.0),
+    ]
+    (note,) = by_others(absorbed, [bent, bias])
+    assert note.startswith("bias of y is determined by the form of the other cause alone")
+    assert "another value of y_0" in note
+    assert by_others(absorbed, [bias]) == ()  # of several records, or a load case
+    assert by_others(absorbed[1:], [bent, bias]) == ()
