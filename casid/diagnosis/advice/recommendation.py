@@ -114,7 +114,8 @@ def by_others(undetectable: Sequence[Undetectable], causes: Sequence[Cause]) -> 
     for cause in causes:
         like = absorbed.get((cause.kind, cause.where))
         others = [c for c in causes if c is not cause and c.kind not in OF_SAMPLES]
-        if like and others:
+        is_step = any(p.name == "time" for p in cause.parameters)  # the constant one is absorbed
+        if like and others and not is_step:
             it, other = ("it", "cause") if len(others) == 1 else ("them", "causes")
             value = "another value" if len(like) == 1 else "other values"
             notes.append(

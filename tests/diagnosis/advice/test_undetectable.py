@@ -18,6 +18,7 @@ from casid.diagnosis.advice.undetectable import Undetectable, absorbed_effects, 
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Alternative, Cause
+from casid.estimation.estimate import Estimated
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
@@ -168,3 +169,5 @@ def test_a_cause_that_the_others_alone_make_identifiable_is_flagged():
     assert "another value of y_0" in note
     assert by_others(absorbed, [bias]) == ()  # of several records, or a load case
     assert by_others(absorbed[1:], [bent, bias]) == ()
+    step = replace(bias, parameters=(Estimated("bias_y", 0.1, "V"), Estimated("time", 2.0, "s")))
+    assert by_others(absorbed, [bent, step]) == ()
