@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -100,7 +100,12 @@ _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
 def stuck_channels(
-    record: Record, channels: Iterable[str], *, least: float = 0.0, are_measured: bool = True
+    record: Record,
+    channels: Iterable[str],
+    *,
+    least: float = 0.0,
+    are_measured: bool = True,
+    units: Mapping[str, str] | None = None,
 ) -> tuple[Finding, ...]:
     """What `check` finds of channels that rest, or stand at an extreme as a limit leaves them.
 
@@ -108,9 +113,11 @@ def stuck_channels(
     ----------
     least : share of the record that a channel has to stand there for.
     are_measured : False of commands, which no sensor cuts off: they may rest at a limit.
+    units : channel -> unit that its numbers are shown in, where that is not SI.
     """
-    found = []
-    for numbers, findings in (channel_quality(record, c) for c in channels if c in record):
+    found, shown = [], units or {}
+    present = [c for c in channels if c in record]
+    for numbers, findings in (channel_quality(record, c, shown.get(c, "")) for c in present):
         if numbers.at_extreme >= least * record.N:
             found += [
                 f
@@ -138,7 +145,7 @@ def channel_quality(
     peak = max(abs(low), abs(high))
     rms = peak * float(np.sqrt(np.mean((kept / peak) ** 2))) if peak else 0.0
     findings: list[Finding] = []
-    if gone:
+    if gone and not _is_as_placed(record, mask):
         findings.append(_some_missing(record, name))
     if low == high:
         findings.append(_constant(name, float(from_si(low, shown)), shown))
@@ -219,6 +226,20 @@ def _equal_samples(
             )
         )
     return run, plateau, findings
+
+
+def _is_as_placed(record: Record, mask: BoolArray) -> bool:
+    """True where a channel lacks what no row of its file has, and no gap is among it.
+
+    That rows of an irregular file were read onto an even clock of more samples was said of the
+    file already.
+    """
+    if not any("the clock is irregular" in line for line in record.provenance):
+        return False
+    steps = np.diff(np.flatnonzero(~mask))
+    has_gaps = bool((steps > OWN_CLOCK * np.median(steps)).any()) if steps.size else True
+    absent = np.all([record.is_missing(name) for name in record], axis=0)
+    return not has_gaps and np.array_equal(mask, absent)
 
 
 def _some_missing(record: Record, name: str) -> Finding:

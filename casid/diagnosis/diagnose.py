@@ -220,7 +220,11 @@ def _concluded(
         proposals=advice.proposals,
         limits=Limits(
             false_alarm_rate=false_alarm_rate,
-            notes=(*notes_on(problem, found, judged), *_notes_on_written(written)),
+            notes=(
+                *advice.notes,
+                *notes_on(problem, found, judged),
+                *_notes_on_written(written),
+            ),
             unexplained=remainder.unexplained if remainder is not None else None,
             isolability=advice.isolability,
             undetectable=advice.undetectable,

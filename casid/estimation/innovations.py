@@ -39,6 +39,9 @@ PATIENCE = 20
 """Orders within which the prediction has to gain."""
 GAINED = 1e-3
 """Of log det of the covariance of its errors, over `PATIENCE` orders: less is nothing."""
+SINGULAR = 1e-9
+"""Of the mean power of an output: what a spectrum whose rank is too low gets besides. Outputs that
+one source moves, all without noise of their own, have no covariance that can be inverted."""
 STEPS = 8
 """Of Newton's method, at most."""
 CONVERGED = 1e-6
@@ -110,7 +113,7 @@ def innovations_of(omega: Array, spectrum: Array, samples: int) -> Innovations:
     grid = np.linspace(0, np.pi, size // 2 + 1)
     n = spectrum.shape[1]
     lines = [[np.interp(grid, omega, spectrum[:, i, j]) for j in range(n)] for i in range(n)]
-    S = np.array(lines, dtype=complex)
+    S = _of_full_rank(np.array(lines, dtype=complex))
     inverse = _together(S, size) if _coherence(S) > COHERENT else _one_by_one(S, size)
     root = np.linalg.inv(irfft(inverse, size)[:, :, 0])
     q, r = np.linalg.qr(root.T)  # root q = r', lower triangular
@@ -118,6 +121,17 @@ def innovations_of(omega: Array, spectrum: Array, samples: int) -> Innovations:
     inverse = np.einsum("ji,jkf->ikf", q, inverse)
     start, added = _start(S, inverse, size, samples)
     return Innovations(inverse, size, root @ q, start, added)
+
+
+def _of_full_rank(S: ComplexArray) -> ComplexArray:
+    """Spectra (n, n, F), with white noise of each output besides where one is singular."""
+    power = np.maximum(np.mean(np.einsum("iif->if", S).real, axis=1), TINY)
+    scale = np.sqrt(power)
+    least = np.linalg.eigvalsh(np.moveaxis(S / np.outer(scale, scale)[:, :, None], 2, 0))[:, 0]
+    lacking = SINGULAR - float(least.min())
+    if len(S) == 1 or lacking <= 0:
+        return S
+    return S + lacking * np.diag(power)[:, :, None]
 
 
 def _coherence(S: ComplexArray) -> float:

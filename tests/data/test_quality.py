@@ -95,6 +95,22 @@ def test_rest_at_zero_is_no_clipping_but_any_other_plateau_is(sign):
     assert {f.severity for f in found if "clipped" in f.text} == {"warning"}
 
 
+def test_the_finer_clock_of_an_irregular_file_is_no_clock_of_a_channels_own(tmp_path):
+    """It is said of the file once; a channel that misses rows of the file still says so."""
+    rng = np.random.default_rng(4)
+    t = np.cumsum(0.25 + 0.02 * rng.uniform(-1, 1, 80))
+    lines = [f"{a:.4f},{np.sin(a):.4f},{np.cos(a):.4f}" for a in t]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["t [s],a,b", *lines]))
+    report = check(path)
+    assert any("the clock is irregular" in f.text for f in report.findings)
+    assert not any("clock of its own" in f.text for f in report.findings)
+    lines[20:60] = [line.rsplit(",", 1)[0] + "," for line in lines[20:60]]
+    path.write_text("\n".join(["t [s],a,b", *lines]))
+    assert any("missing" in x or "clock of its own" in x for x in texts(check(path), "b"))
+    assert not texts(check(path), "a")
+
+
 def test_an_irregular_clock_is_judged_by_its_own_samples(tmp_path):
     """Stamps of 0.1 s +- 30 ms; taken as even they would make noise of 3 % of the wave."""
     rng = np.random.default_rng(6)

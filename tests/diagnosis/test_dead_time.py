@@ -14,7 +14,8 @@ import casid
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.verdict.sentences import verdict_sentence
-from casid.model.effects.channel_effects import dead_time, time_delay
+from casid.estimation.estimate import Estimated
+from casid.model.effects.channel_effects import dead_time, sensor_bias, sensor_lag, time_delay
 from casid.model.effects.names import effect_words
 
 TS = 0.02
@@ -128,3 +129,21 @@ def test_the_two_delays_of_an_input_have_words_that_tell_them_apart() -> None:
     cause = Cause("time_delay", "position", 1e-9, (), (other,), sentence="it is late")
     text = verdict_sentence("deficient", [cause], {}, "", problem("foh", known=False))
     assert "delay of position or dead time of force (it acts late)" in text
+
+
+@pytest.mark.parametrize("make", [dead_time, time_delay, sensor_lag])
+def test_the_delay_of_a_pulse_width_is_a_time_and_no_width(make):
+    """A servo's pulse in microseconds: a dead time of 39 ms was written as 3.92e+04 us."""
+    m = casid.Model("servo")
+    pulse, x = m.input("pulse", "us", hold="zoh"), m.state("x", "deg")
+    k, tau = m.parameter("k", "deg/us", start=0.1), m.parameter("tau", "s", start=0.1)
+    m.derivative(x, (k * pulse - x) / tau)
+    m.output("x", x, "deg")
+    new, names = make(m, "pulse", 0.5).extended(m)
+    assert new.unit_of(names[0]) == "s"
+    found = Cause("time_delay", "pulse", 0.01, (Estimated(names[0], 0.04, "s"),))
+    assert found.in_units(new.declared_units).parameters[0].unit == "s"
+    found = Cause("sensor_bias", "pulse", 0.01, (Estimated("bias", 1e-5, "s"),))
+    assert found.in_units(new.declared_units).parameters[0].value == pytest.approx(10.0)
+    shifted, (bias, *_) = sensor_bias(m, "pulse").extended(m)
+    assert shifted.unit_of(bias) == "us"

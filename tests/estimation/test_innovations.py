@@ -92,3 +92,15 @@ def test_what_is_whitened_has_unit_covariance_and_no_memory():
 
 def test_no_columns_stay_none():
     assert innovations_of(OMEGA, two(), 50).whiten(np.zeros((50, 2, 0))).shape == (50, 2, 0)
+
+
+def test_outputs_that_one_source_moves_are_whitened_though_they_have_no_noise():
+    """Their spectrum has rank one at every frequency, and is large in its units."""
+    force = 1e5 / (1 - 0.9 * Z)
+    g = np.stack([force, 4.5 * force], axis=1)
+    found = innovations_of(OMEGA, np.einsum("fi,fj->fij", g, g.conj()), 60)
+    drive = np.random.default_rng(2).standard_normal(400)
+    r = 1e5 * lfilter([1.0], [1.0, -0.9], drive)[-60:]
+    e = found.whiten(np.stack([r, 4.5 * r], axis=1)[:, :, None])[:, :, 0]
+    assert e[1:, 0] == pytest.approx(drive[-59:], rel=1e-2, abs=1e-2)
+    assert np.isfinite(found.log_determinant(60))

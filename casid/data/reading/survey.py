@@ -37,6 +37,7 @@ from casid.data.reading.resampling import resampled
 from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_rows
 from casid.data.reading.sources import limit_text, sha256, source_of
 from casid.data.reading.tables import Table
+from casid.data.reading.text_table import NO_NAMES
 from casid.data.reading.unit_of_time import assumed_seconds
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
@@ -349,9 +350,11 @@ def _resolved(
         return specs, None
     if clock is None:
         alone = len(table.columns) == 1
+        bare = any(remark.startswith(NO_NAMES) for remark in table.remarks)
         raise DataError(
             f"{table.path.name}: no time column found among {', '.join(table.columns)}. "
-            + ("Separate columns by comma, semicolon or tab. " if alone else "")
+            + ("The file has no line of names, and the columns are numbered. " if bare else "")
+            + ("Separate columns by comma, semicolon or tab. " if alone and not bare else "")
             + "Name it with --map t=COLUMN (time='column'), or give the sample time with "
             "--sample-time 0.01 (Ts=0.01)."
         )

@@ -21,6 +21,17 @@ _MISSING = ["-", "--", "---", "?", "*", "n.a.", "#NV", "#VALUE!", "#WERT!", "#DI
 _MISSING += ["#BEZUG!", "<NA>", "bad", "Bad", "no data", "No Data", "NoData", "missing", "1.#INF"]
 
 
+NO_NAMES = "no line of names"
+"""What the remark about a file begins with that has none."""
+
+
+def _is_count(rows: list[list[str]]) -> bool:
+    """Whether the first line counts the columns, 0, 1, 2 or 1, 2, 3, as a program's header does."""
+    first = rows[0]
+    counts = any(first == [str(k + start) for k in range(len(first))] for start in (0, 1))
+    return counts and len(first) > 2 and any("." in c or "e" in c for r in rows[1:] for c in r)
+
+
 class TextTable(Table):
     """A table in a text file."""
 
@@ -52,10 +63,8 @@ class TextTable(Table):
                 "names that have no column, or correct the separator."
             )
         if not layout.names:
-            raise DataError(
-                f"{name}: the first line holds numbers, not column names. "
-                "Put a header line with one name per column above it."
-            )
+            self._number_columns(head)
+            return
         names = list(layout.names)
         while len(names) > 1 and not names[-1] and len(names) > layout.width:
             names.pop()
@@ -82,6 +91,28 @@ class TextTable(Table):
             cells.pop()
             self.trailing += 1
         self.name_columns(names, layout.units)
+
+    def _number_columns(self, head: list[str]) -> None:
+        """Names for the columns of a file that has none, by their places."""
+        layout, name = self.layout, self.path.name
+        rows = [cells_of(x, layout.separator) for x in head if x.strip() and not COMMENT.match(x)]
+        first = cells_of(head[layout.first], layout.separator)
+        if layout.above or _is_count(rows):
+            raise DataError(
+                f"{name}: the first line holds numbers, not column names. "
+                "Put a header line with one name per column above it."
+            )
+        columns = [f"column {k + 1}" for k in range(len(first))]
+        while len(columns) > 1 and all("".join(r[len(columns) - 1 :]) == "" for r in rows):
+            columns.pop()  # a separator at the end of every line
+            self.trailing += 1
+        one = columns[0] if len(columns) == 1 else f"{columns[0]} to {columns[-1]}"
+        shown = ", ".join(first[: len(columns)])
+        self.remarks.append(
+            f"{NO_NAMES}: the {'column is' if len(columns) == 1 else 'columns are'} called {one}, "
+            f"and the first row is {shown}"
+        )
+        self.name_columns(columns)
 
     def _lines_of_comment(self) -> list[int]:
         lines = enumerate(self.source.lines())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from casid.data.templates.draft import Draft, in_unit
@@ -10,6 +12,9 @@ from casid.data.templates.roles import Role
 from casid.data.templates.template import Body, Template
 from casid.data.templates.weak_form import weak_form
 from casid.model.units import parse_unit, si_unit, unit_quotient
+
+_PRODUCT = re.compile(r"[\s*·⋅.]")
+"""Between the factors of a unit."""
 
 _DRIVE = Role(
     "input",
@@ -95,11 +100,11 @@ def write(d: Draft) -> Body:
 def gain_unit(output: str, input: str) -> str:
     """The unit of an output per unit of an input, in the words of both where they are short."""
     above, below = (_difference(unit) for unit in (output, input))
-    if "/" in above or "/" in below or " " in above:
+    if "/" in above or "/" in below or _PRODUCT.search(above):
         return unit_quotient(si_unit(above), si_unit(below))
     if below == "1":
         return above
-    return f"{above}/({below})" if " " in below else f"{above}/{below}"
+    return f"{above}/({below})" if _PRODUCT.search(below) else f"{above}/{below}"
 
 
 def _difference(unit: str) -> str:

@@ -11,9 +11,11 @@ from casid.diagnosis.advice.next_experiment import Advice, Proposal, Suspect, ne
 from casid.diagnosis.advice.undetectable import (
     Undetectable,
     absorbed_effects,
+    listed,
     undetectable_effects,
 )
 from casid.diagnosis.evidence.disturbances import Disturbance
+from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Verdict
@@ -35,6 +37,7 @@ class Recommendation:
     isolability: Isolability | None
     undetectable: tuple[Undetectable, ...]
     proposals: tuple[Proposal, ...]
+    notes: tuple[str, ...] = ()  # on causes that the model without the others could not show
 
 
 def recommend(
@@ -48,7 +51,7 @@ def recommend(
     """
     table, base = found.search.first_table, found.baseline
     attempt = found.search.attempts.attempt
-    named = {(c.kind, c.where) for c in judged.causes}
+    named = _seen(judged.causes)
     absorbed = [e.key for _, e in absorbed_effects(table, problem.model)] if table else []
     planned = None
     if plan:
@@ -81,18 +84,51 @@ def recommend(
         )
     if table is None:
         return Recommendation(text, None, (), planned.proposals if planned is not None else ())
-    undetectable: tuple[Undetectable, ...] | None = ()
-    if plan:
-        undetectable = attempt(
-            "why some causes are undetectable",
-            lambda: undetectable_effects(table, problem.model, base.split.fitted),
-        )
+    undetectable = _undetectable(problem, found, table) if plan else ()
     return Recommendation(
         sentence=text,
         isolability=isolability(table, n_samples=found.base_fit.criterion.n_samples),
-        undetectable=tuple(u for u in undetectable or () if (u.kind, u.where) not in named),
+        undetectable=tuple(u for u in undetectable if (u.kind, u.where) not in named),
         proposals=planned.proposals if planned is not None else (),
+        notes=by_others(undetectable, judged.causes),
     )
+
+
+def _undetectable(problem: Problem, found: Findings, table: ScoreTable) -> tuple[Undetectable, ...]:
+    """Causes that the model as it is absorbs, with the reasons; none where they are not found."""
+    explained = found.search.attempts.attempt(
+        "why some causes are undetectable",
+        lambda: undetectable_effects(table, problem.model, found.baseline.split.fitted),
+    )
+    return explained or ()
+
+
+def by_others(undetectable: Sequence[Undetectable], causes: Sequence[Cause]) -> tuple[str, ...]:
+    """A note on every cause that is identifiable by the form of another one alone.
+
+    A sensor's bias is another resting level to a linear model. Beside a term that bends about zero
+    it moves where the term bends: the estimate is no better than that form.
+    """
+    absorbed = {(u.kind, u.where): u.absorbed_by for u in undetectable if u.is_structural}
+    notes = []
+    for cause in causes:
+        like = absorbed.get((cause.kind, cause.where))
+        others = [c for c in causes if c is not cause and c.kind not in OF_SAMPLES]
+        is_step = any(p.name == "time" for p in cause.parameters)  # the constant one is absorbed
+        if like and others and not is_step:
+            it, other = ("it", "cause") if len(others) == 1 else ("them", "causes")
+            value = "another value" if len(like) == 1 else "other values"
+            notes.append(
+                f"{cause.words} is determined by the form of the other {other} alone: without {it} "
+                f"it would look like {value} of {listed(like)}; check it independently"
+            )
+    return tuple(notes)
+
+
+def _seen(causes: Sequence[Cause]) -> set[tuple[str, str]]:
+    """Kinds and places of what may be a cause: seen, if not in the model without the others."""
+    rivals = {(a.kind, a.where) for c in causes for a in c.alternatives}
+    return rivals | {(c.kind, c.where) for c in causes}
 
 
 def _planned(problem: Problem, found: Findings, causes: Sequence[Cause]) -> Advice | None:

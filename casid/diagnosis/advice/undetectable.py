@@ -75,7 +75,7 @@ class Undetectable:
         one = len(self.absorbed_by) == 1
         return (
             f"{words} (would look like {'another' if one else 'other values of'} "
-            f"{_listed(self.absorbed_by)})"
+            f"{listed(self.absorbed_by)})"
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -225,7 +225,8 @@ def _unobservable(found: Observability) -> set[str]:
     }
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
@@ -236,9 +237,9 @@ def _structural_why(
     if not both:
         return "It does not affect any output, whatever is recorded."
     text = (
-        f"Whatever is recorded, a change of {_listed(both)} gives the same outputs"
+        f"Whatever is recorded, a change of {listed(both)} gives the same outputs"
         if len(both) == 1
-        else f"Whatever is recorded, changes of {_listed(both)} together give the same outputs"
+        else f"Whatever is recorded, changes of {listed(both)} together give the same outputs"
     )
     if combinations:
         text += f"; identifiable all the same: {', '.join(combinations)}"

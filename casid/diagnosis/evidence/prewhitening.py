@@ -18,6 +18,7 @@ from casid.diagnosis.thresholds import PREWHITENING
 from casid.errors import CasidError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import likeliest
+from casid.estimation.errors_in_variables.left_by_noise import share_that_is_there
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor, white_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
@@ -214,6 +215,8 @@ class Weighing:
         """A fit with the noise that its residual shows."""
         full = self.noise(fit)
         input_sd = self.input_sd(full, fit.criterion)
+        share = share_that_is_there(fit, full, input_sd, self.seed)
+        input_sd = {name: share * sd for name, sd in input_sd.items()}
         quiet = full.quiet(input_sd)
         ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
         limit = max(PREWHITENING.absorbs_misfit**2, 1 + PREWHITENING.absorbs_spreads * spread)

@@ -7,7 +7,7 @@ samples) is no error: its verdict is "undecided", with the reason in words.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 from scipy.signal import correlate
@@ -222,18 +222,23 @@ def fewest_samples(unknowns: int) -> int:
 
 
 def weak_parameters(
-    at: Weighted, std_error: Callable[[str], float], reported: Estimate
+    at: Weighted,
+    std_error: Callable[[str], float],
+    reported: Estimate,
+    *,
+    without: Collection[str] = (),
 ) -> tuple[str, ...]:
     """A note on parameters whose standard errors exceed their own size.
 
     The model may still be judged: the effect of such a parameter on the outputs is undetectable.
     But so is an effect that acts like it. One whose error is smaller in the estimate that is
-    reported, where a parameter at its bound is none, is left out.
+    reported, where a parameter at its bound is none, is left out, and so is every one in `without`,
+    which is present or absent and not estimated.
     """
     errors = {p.name: (p.std_error, abs(p.value)) for p in reported.parameters}
     clear = {name for name, (error, size) in errors.items() if error is not None and error < size}
     relative = {n: r for n, r in _relative_errors(at, std_error).items() if n not in clear}
-    weak = [n for n, r in relative.items() if not r <= 1.0]
+    weak = [n for n, r in relative.items() if not r <= 1.0 and n not in without]
     if not weak:
         return ()
     names = " and ".join(weak)

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from casid.data.files import plain_fields
 from casid.estimation.estimate import Estimated
+from casid.model.effects.effect import LATE
 from casid.model.effects.names import effect_words
 from casid.model.units import parse_unit, si_unit
 
@@ -90,11 +91,14 @@ class Cause:
     def in_units(self, units: Mapping[str, str]) -> Cause:
         """The cause with its parameters in the units that `units` has for them.
 
-        What is no parameter of a model (the limit of clipped samples) has the channel's unit.
+        What is no parameter of a model (the limit of clipped samples) has the channel's unit; the
+        times of a delay and of a step are seconds, also where the channel is a pulse width.
         """
-        channel = units.get(self.where)
+        channel = None if self.kind in LATE else units.get(self.where)
 
         def converted(p: Estimated) -> Estimated:
+            if p.name == "time" and p.unit == "s":
+                return p
             if p.name not in units and channel is not None and si_unit(channel) == p.unit:
                 return p if parse_unit(channel).offset else p.in_unit(channel)
             return p.in_unit(units.get(p.name, p.unit))

@@ -24,7 +24,7 @@ from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
-from casid.model.effects.effect import SWITCHED, Effect
+from casid.model.effects.effect import Effect
 from casid.model.effects.names import ACTS_LATE, ADVANCE, place_words
 from casid.model.quantities import instant_text, quantity_text
 
@@ -169,7 +169,7 @@ def _saturation(search: Search, cut: Plateaus) -> Cause:
 
 def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
     rows = [p for p in estimate.parameters if p.name in candidate.names]
-    if candidate.effect.kind in SWITCHED:
+    if candidate.effect.is_switched:
         blend, note = candidate.names[0], "not estimated: either present or absent"
         rows = [replace(p, note=note) if p.name == blend else p for p in rows]
     if candidate.effect.sets_in and candidate.effect.variant is not None:

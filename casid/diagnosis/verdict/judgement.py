@@ -308,7 +308,9 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         notes += (base.why_doubtful,) if base.why_doubtful else ()
         notes += judged.doubts.disagreements
         reported = judged.extended or judged.baseline
-        notes += weak_parameters(found.at, partial(std_error, found.at.fit), reported)
+        switches = {a.candidate.names[0] for a in found.adopted if a.candidate.effect.is_switched}
+        errors = partial(std_error, found.at.fit)
+        notes += weak_parameters(found.at, errors, reported, without=switches)
     if negated is not None and negated.reference:
         notes.append(
             f"the sign of {negated.channel} was determined with instruments from "

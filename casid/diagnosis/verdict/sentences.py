@@ -239,7 +239,8 @@ def verdict_sentence(
     text = _joined([_says_cause(c) for c in causes])
     what = "it" if len(causes) == 1 else "them"
     if not all(c.parameters for c in causes):
-        what = "the named causes"
+        named = any(c.parameters for c in causes)
+        what = "the named causes" if named else "the nearest effect of the catalogue"
     untested = f" Nothing else was tested: {why_untested}." if why_untested else ""
     return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}{untested}"
 

@@ -16,6 +16,7 @@ from casid.estimation.errors_in_variables.input_noise import (
     input_noise,
     possible_bias,
 )
+from casid.estimation.errors_in_variables.left_by_noise import left_by_noise, squares
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
@@ -176,7 +177,7 @@ def _worse(fit: Fit, root: _Root) -> str:
     squares leaves far less, that noise is not there, and where it leaves far more, misfit is.
     """
     criterion = fit.criterion
-    least, now = (max(_squares(criterion, x), TINY) for x in (fit.x, root.x))
+    least, now = (max(squares(criterion, x), TINY) for x in (fit.x, root.x))
     if now <= REMOVAL.absorbs_misfit**2 * least:
         return ""
     left = np.log(_left_by_noise(root))
@@ -194,35 +195,13 @@ def _worse(fit: Fit, root: _Root) -> str:
     )
 
 
-def _squares(criterion: SimulationError, x: Array) -> float:
-    """Weighted sum of squared residuals at `x` (n,), of all records."""
-    total = 0.0
-    for e, d in enumerate(criterion.data):
-        residual = criterion.simulated(x, e).residual * criterion.weights
-        total += float(np.sum(np.where(d.used, residual, 0.0) ** 2))
-    return total
-
-
 def _left_by_noise(root: _Root) -> Array:
     """(m,) weighted sums of squares that least squares leaves of so many records of noise."""
-    criterion, found = root.criterion, root.found
-    used = np.concatenate([d.used.ravel() for d in criterion.data])
-    out = []
-    for seed in range(REMOVAL.left_records):
-        rng = np.random.default_rng((root.seed, seed))
-        columns = columns_of(criterion, root.x, found.sd, seed)
-        noise = [
-            sum((source.moved for source in part.noise), np.zeros(part.residual.shape))
-            + found.noise.output_sd * criterion.weights * rng.standard_normal(part.residual.shape)
-            for part in columns
-        ]
-        r = np.concatenate([part.ravel() for part in noise])[used]
-        tangents = [part.tangent.reshape(-1, len(root.x)) for part in columns]
-        t = np.concatenate(tangents)[used][:, root.free]
-        t = t / np.maximum(np.linalg.norm(t, axis=0), TINY)
-        left = r - t @ np.linalg.lstsq(t, r, rcond=None)[0]
-        out.append(max(float(left @ left), TINY))
-    return np.array(out)
+    found = root.found
+    left = left_by_noise(
+        root.criterion, root.x, root.free, found.sd, found.noise.output_sd, root.seed
+    )
+    return np.asarray(np.maximum(left.sum(axis=1), TINY))
 
 
 _OVERFLOWS = "the simulation overflows beside the fit"

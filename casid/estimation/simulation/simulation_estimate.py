@@ -93,11 +93,14 @@ def channel_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
         for line in e.record.provenance
         if is_open(line.removeprefix("remark: "))
     ]
+    units = model.declared_units
     return [*gap_notes(experiments), *assumed] + [
         f"{e.name}: {f.channel}: {f.text} {f.remedy}"
         for e in experiments
-        for names, least, are_measured in groups
-        for f in stuck_channels(e.record, names, least=least, are_measured=are_measured)
+        for names, least, measured_ones in groups
+        for f in stuck_channels(
+            e.record, names, least=least, are_measured=measured_ones, units=units
+        )
     ]
 
 

@@ -42,6 +42,9 @@ SWITCHED = ("hold", "rectified", "actuator_saturation")
 Extended from a start other than 0 the parameter is 1, and not estimated.
 """
 
+LATE = ("time_delay", "sensor_lag", "actuator_lag")
+"""Kinds whose parameter is a time, whatever the channel has for a unit."""
+
 OF_SAMPLES = ("outliers", "saturation")
 """Kinds that spoil samples, and leave the rest of the record as it is."""
 
@@ -119,6 +122,11 @@ class Effect:
         return self.kind in ON_THE_CLOCK or self.sets_in or "start" in self.constants
 
     @property
+    def is_switched(self) -> bool:
+        """True of what is present or absent: its first parameter is then 1, and not estimated."""
+        return self.kind in SWITCHED
+
+    @property
     def key(self) -> tuple[str, str]:
         """Kind and place, with the shape where several of a kind share the place."""
         return self.kind, f"{self.where}: {self.shape}" if self.shape else self.where
@@ -167,9 +175,10 @@ class Effect:
         """The unit that a parameter is shown in: its own, or that of what it changes.
 
         A change of a temperature has no zero of its own; what declares degC for itself is a level.
+        A delay or lag of a pulse width in microseconds is a time, and no change of that width.
         """
         own = self.declared_units.get(p.name)
-        unit = own or model.declared_units.get(self.where)
+        unit = own or (None if self.kind in LATE else model.declared_units.get(self.where))
         if unit is None or is_si(unit) or si_unit(unit) != p.unit:
             return None
         return unit if own or not parse_unit(unit).offset else None

@@ -344,8 +344,8 @@ KINDS = [
     # ------------------------------------------------------------------ no tables
     Kind("empty file", "", refused="the file is empty", remedy="Export the measurement again"),
     Kind("one row", table(rows=1), refused="1 sample; a record needs at least 2", remedy="longer"),
-    Kind("numbers without names", table().partition("\n")[2], refused="holds numbers, not column",
-         remedy="Put a header line"),
+    Kind("numbers without names", table().partition("\n")[2],
+         refused="The file has no line of names", remedy="--map t=COLUMN"),
     Kind("binary", bytes(range(256)) * 8, refused="not a text file", remedy="CSV in UTF-8"),
     Kind("binary without zeros", np.random.default_rng(1).integers(1, 255, 3000, "u1").tobytes(),
          refused="full of control characters", remedy="CSV in UTF-8"),

@@ -79,8 +79,36 @@ def test_a_header_with_more_names_than_columns_is_not_taken_for_numbers(csv):
 
 
 def test_a_comment_above_numbers_is_no_header(csv):
+    path = csv(rows(np.arange(9.0), header="# test of 3 May, second run"))
+    record = read_record(path, time="column 1")
+    assert record["column 2"] == pytest.approx(np.sin(np.arange(9.0)))
+    assert any("no line of names" in p for p in record.provenance)
+
+
+def test_a_file_without_names_is_read_by_the_places_of_its_columns(tmp_path):
+    """As programs write it: in columns of even width, with an exponent, a separator at the end."""
+    y = np.linspace(20.0, 30.0, 40)
+    lines = [f"{2 * k:7.2f}   {9.0:.3f}  {v:.7e}\t" for k, v in enumerate(y)]
+    path = tmp_path / "run.dat"
+    path.write_text("\n".join(lines) + "\n")
+    columns = {"u": "column 2", "T": ("column 3", "degC", "degC")}
+    record = read_record(path, columns, time="column 1")
+    assert record.Ts == 2.0
+    assert record["u"] == pytest.approx(9.0)
+    assert record["T"] - 273.15 == pytest.approx(y)
+    path.write_text("\n" + "".join(f"{0.1 * k:.1f},{v:.3f},\n" for k, v in enumerate(y)) + "4.0,3")
+    record = read_record(path, time="column 1")
+    assert list(record) == ["column 2"]
+    assert record.N == 41
+    path.write_text("\n\n".join(f"{v:.2f}" for v in y))
+    assert read_record(path, Ts=0.5)["column 1"] == pytest.approx(y, abs=0.006)
+
+
+def test_a_line_that_counts_the_columns_is_not_taken_for_samples(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("0,1,2\n" + "".join(f"{0.1 * k:.1f},{k},{k * k}\n" for k in range(9)))
     with pytest.raises(DataError, match="the first line holds numbers, not column names"):
-        read_record(csv(rows(np.arange(9.0), header="# test of 3 May, second run")))
+        read_record(path)
 
 
 def test_columns_are_mapped_with_their_own_units(csv):
@@ -311,7 +339,7 @@ def test_a_window_outside_the_record_is_refused_with_the_record_s_own_span(csv):
         ("", "the file is empty", "Export the measurement again"),
         ("\n\n", "no header and no samples", "Export the measurement again"),
         ("t,y\n", r"a header \(t, y\) and no samples", "Export the measurement again"),
-        ("0,1\n1,2\n2,3\n", "holds numbers, not column names", "Put a header line"),
+        ("0,1\n1,2\n2,3\n", "no time column.*no line of names", "--map t=COLUMN"),
         ("t,y\n0,1\n", "1 sample; a record needs at least 2", "longer file"),
         ("t,y\n0,1,2\n1,2,3\n", "names 2 columns, the first row holds 3", "Give every column"),
         ("t,y\n0,1\n1,2,3,4\n2,3\n", "table is broken.*line 3", "as many values"),

@@ -279,3 +279,11 @@ def test_the_likeliest_column_is_suggested_with_a_unit_that_its_values_fit(
     with pytest.raises(casid.DataError) as refused:
         casid.new_problem(data, template)
     assert f"for example --map {suggestion}, or take" in str(refused.value)
+
+
+def test_a_gain_from_an_input_whose_unit_is_a_product_has_a_unit_of_one_reading(tmp_path: Path):
+    """A file with a torque in N·m and a speed in rpm was refused: `rpm/N·m`."""
+    data = written_for(tmp_path, "t (s),torque (N·m),speed (rpm)", *waves(2))
+    found = casid.new_problem(data, "free", tmp_path / "run.py")
+    assert '"rpm/(N' in found.text or "rad" in found.text
+    assert casid.load_problem(tmp_path / "run.py").model.outputs

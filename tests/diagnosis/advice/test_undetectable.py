@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.advice.recommendation import _seen, by_others
 from casid.diagnosis.advice.undetectable import Undetectable, absorbed_effects, undetectable_effects
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
+from casid.diagnosis.verdict.cause import Alternative, Cause
+from casid.estimation.estimate import Estimated
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
@@ -144,3 +147,27 @@ def test_what_is_visible_is_not_listed_and_structural_causes_come_first(fitted):
     assert list(found) == [("offset", "torque"), ("extra_input", "speed")]
     plain = json.loads(json.dumps([i.to_json() for i in found.values()]))
     assert plain[0]["reason"] == "structural"
+
+
+def test_what_may_be_the_cause_is_seen():
+    """A lag that explains as well as a jump was called undetectable in the same report."""
+    rival = Alternative("sensor_lag", "T", 0.4, "explains the misfit as well")
+    cause = Cause("parameter_jump", "T_a", 0.01, (), (rival,))
+    assert _seen([cause]) == {("parameter_jump", "T_a"), ("sensor_lag", "T")}
+
+
+def test_a_cause_that_the_others_alone_make_identifiable_is_flagged():
+    """A bias of 0.2 V stood beside a resting level that had moved by -0.2 V."""
+    bent = Cause("scheduled_parameter", "tau~y", 0.01, ())
+    bias = Cause("sensor_bias", "y", 0.01, ())
+    absorbed = [
+        Undetectable("sensor_bias", "y", "structural", 0.0, ("y_0",)),
+        Undetectable("scheduled_parameter", "tau~y", "practical", 0.0),
+    ]
+    (note,) = by_others(absorbed, [bent, bias])
+    assert note.startswith("bias of y is determined by the form of the other cause alone")
+    assert "another value of y_0" in note
+    assert by_others(absorbed, [bias]) == ()  # of several records, or a load case
+    assert by_others(absorbed[1:], [bent, bias]) == ()
+    step = replace(bias, parameters=(Estimated("bias_y", 0.1, "V"), Estimated("time", 2.0, "s")))
+    assert by_others(absorbed, [bent, step]) == ()

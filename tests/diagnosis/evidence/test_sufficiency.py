@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from casid.diagnosis.evidence.recorded_channels import (
     refuse_shared_columns,
 )
 from casid.diagnosis.evidence.sufficiency import (
+    few_step_fit,
+    weak_parameters,
     weighted_as_white,
     why_doubtful,
     why_uninformative,
@@ -134,6 +137,20 @@ def test_a_parameter_that_the_record_does_not_know_is_noted():
     assert d.verdict != "deficient"
     if d.verdict == "adequate":
         assert any("does not determine" in n and "own size" in n for n in d.notes)
+
+
+def test_what_is_present_or_absent_is_no_parameter_that_the_record_does_not_determine():
+    """Of a clipping that was found `saturated_u` is 1, and its error that of no estimate."""
+    experiments = [casid.Experiment(pendulum.simulate(duration=2.0), {}, "short")]
+    at = weighted_as_white(few_step_fit(pendulum.problem.model, experiments))
+    none = SimpleNamespace(parameters=())
+    (note,) = weak_parameters(at, lambda name: np.inf, none)
+    assert "does not determine k and" in note
+    (note,) = weak_parameters(at, lambda name: np.inf, none, without={"k"})
+    assert "does not determine k " not in note
+    assert (
+        weak_parameters(at, lambda name: np.inf if name == "k" else 0.0, none, without={"k"}) == ()
+    )
 
 
 # -- settings -------------------------------------------------------------------------------------

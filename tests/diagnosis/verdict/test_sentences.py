@@ -39,6 +39,17 @@ def test_what_a_record_does_not_separate_is_said_once_for_several_causes():
     assert "; and one of these: " in text
 
 
+def test_where_nothing_is_named_no_named_causes_are_included():
+    """The errors beside are those with the nearest effect of the catalogue, which is not named."""
+    part = {"baseline_rmse": {"gyro": 0.1}, "extended_rmse": {"gyro": 0.12}}
+    unknown = replace(small().causes[0], kind="unknown", parameters=(), alternatives=())
+    text = verdict_sentence("deficient", [unknown], part, "", pendulum.problem)
+    assert "named causes" not in text
+    assert "Including the nearest effect of the catalogue raises the RMS error of gyro" in text
+    text = verdict_sentence("deficient", [unknown, small().causes[0]], part, "", pendulum.problem)
+    assert "Including the named causes raises the RMS error of gyro" in text
+
+
 def test_of_many_that_may_be_the_cause_the_first_are_named():
     """Eleven in all: four and the seven others."""
     one = small().causes[0]

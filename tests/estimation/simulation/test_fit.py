@@ -113,6 +113,19 @@ def test_a_command_may_rest_at_its_limit_but_a_measured_input_may_be_clipped_the
     assert any("P: 50 equal samples at the minimum" in n for n in notes) is not known
 
 
+def test_a_limit_is_said_in_the_unit_that_the_model_declares():
+    """A file in degC was warned of in K."""
+    m = casid.Model("plate")
+    T = m.state("T", "degC", start=20.0)
+    m.derivative(T, -m.parameter("k", "1/s", start=0.1) * (T - 293.15))
+    m.output("T", T, "degC")
+    level = np.clip(40.0 * np.random.default_rng(1).uniform(0, 1, 400), 0.0, 25.0)
+    level[100:150] = 25.0
+    record = casid.Record({"T": 273.15 + level}, {"T": "K"}, Ts=10.0)
+    (note,) = channel_notes(m, [casid.Experiment(record, {}, "plate")])
+    assert "equal samples at the maximum 25 degC" in note
+
+
 def test_an_end_above_where_the_search_began_is_sought_again_without_steps_that_rise(monkeypatch):
     """Ipopt's watchdog once ended at 1e41 from 66: a stand-in for it returns a worse point."""
     m = casid.Model("decay")
