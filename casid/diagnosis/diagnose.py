@@ -148,7 +148,8 @@ def diagnose(
     require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
-    diagnosis = _concluded(problem, found, calibration, settings, plan=advise, written=written)
+    notes = _notes_on_written(written)
+    diagnosis = _concluded(problem, found, calibration, settings, plan=advise, notes=notes)
     return diagnosis.in_units(found.best_fit.criterion.model.declared_units)
 
 
@@ -185,11 +186,11 @@ def _concluded(
     settings: DiagnosisSettings,
     *,
     plan: bool,
-    written: Mapping[str, str],
+    notes: Sequence[str],
 ) -> Diagnosis:
     """Verdict and advice; `plan` as in `recommend`, `settings` with the requested level.
 
-    `written` as from `with_written_accelerations`.
+    `notes` are those on the problem, which come after those on the findings.
     """
     false_alarm_rate = settings.alpha
     attempts = found.search.attempts
@@ -220,11 +221,7 @@ def _concluded(
         proposals=advice.proposals,
         limits=Limits(
             false_alarm_rate=false_alarm_rate,
-            notes=(
-                *advice.notes,
-                *notes_on(problem, found, judged),
-                *_notes_on_written(written),
-            ),
+            notes=(*advice.notes, *notes_on(problem, found, judged), *notes),
             unexplained=remainder.unexplained if remainder is not None else None,
             isolability=advice.isolability,
             undetectable=advice.undetectable,
