@@ -59,7 +59,7 @@ def test_a_model_without_a_law_that_is_estimated_is_returned_as_it_is():
 @pytest.mark.slow
 def test_a_cause_is_named_alike_in_a_law_stated_either_way():
     """Drag of 0.8 N s^2/m^2 on 2 kg: 0.4 /m in a law of the acceleration."""
-    Ts, N = 0.05, 900
+    Ts, N = 0.05, 600
     rng = np.random.default_rng(5)
     F = np.repeat(rng.uniform(-20, 20, N // 15), 15)
     z, x = np.zeros(2), np.empty(N)
@@ -80,7 +80,8 @@ def test_a_cause_is_named_alike_in_a_law_stated_either_way():
     x += 0.002 * rng.standard_normal(N)
     record = casid.Record({"F": F, "x": x}, {"F": "N", "x": "m"}, Ts=Ts)
     for stated, size in (("rate", 0.4), ("balance", 0.8)):
-        found = casid.diagnose(casid.Problem("swing", swing(stated=stated)), record).causes
+        problem = casid.Problem("swing", swing(stated=stated))
+        found = casid.diagnose(problem, record, starts=1, advise=False).causes
         assert [(c.kind, c.where) for c in found] == [("quadratic_damping", "v")]
         d_2 = found[0].parameters[0]
         assert abs(d_2.value - size) < 4 * d_2.std_error

@@ -151,12 +151,14 @@ def test_the_roll_frequency_is_the_published_one(measured, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(study.RECORDS))
-def test_without_inputs_the_diagnosis_says_that_they_are_missing(measured, name):
-    """On a grid of 1.08 s, which are 16 samples a roll period; one cause is enough to see it."""
+def test_without_inputs_the_diagnosis_says_that_they_are_missing(measured):
+    """On a grid of 1.08 s, which are 16 samples a roll period; one cause is enough to see it.
+
+    In the zigzag of the smaller angle, which the missing inputs move less.
+    """
     found = casid.diagnose(
         kvlcc2_zigzag.without_inputs(),
-        kvlcc2_zigzag.coarse(measured[name], 8),
+        kvlcc2_zigzag.coarse(measured["zz_10"], 8),
         starts=1,
         max_causes=1,
         advise=False,

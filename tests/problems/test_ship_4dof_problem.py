@@ -182,7 +182,7 @@ def test_the_example_leads_from_the_starts_to_the_truth():
 def test_damping_in_yaw_that_was_left_out_is_found():
     """N_r|r| r|r| is the damping that grows with the rate squared: d_2 = -N_rr."""
     lacking = problem_of("N_ur", "A_z", N_rr=0.0)
-    record = experiments(duration=20.0)[0].record
+    record = experiments(duration=12.0)[0].record
     found = casid.diagnose(
         lacking, [casid.Experiment(record, {}, "nominal")], starts=1, advise=False
     )

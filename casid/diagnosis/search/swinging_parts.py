@@ -31,13 +31,14 @@ def beside_lines(
     """Candidates with parts in motion, where a line of the spectrum explains more than at rest.
 
     A part that swung before the record rings at its own frequency, as a periodic force does.
-    Elsewhere it begins at rest: free to begin anyhow, it imitates laws by its own decay.
+    Elsewhere it begins at rest: free to begin anyhow, it imitates laws by its own decay. A part
+    that was found without a mass has no frequency, and stays as it is.
     """
     if max(found, key=lambda c: c.merit).effect.kind != "periodic_disturbance":
         return list(found)
     out = []
     for c in found:
-        if is_swinging_from_rest(c.effect):
+        if is_swinging_from_rest(c.effect) and c.names[1] in c.fit.values:
             progress(f"let {name_of(c.effect)} move when the record begins")
             values = found_values(c)
             free = in_motion(at.model, c)

@@ -157,9 +157,11 @@ def unlike_beside(at: Weighted, split: Split) -> str:
     """
     assert at.unbiased is not None
     found = simulation_errors(at.unbiased, split, at.criterion.weights, at.noise)
+    if not len(found.continued):
+        return ""
     for i, output in enumerate(at.criterion.outputs):
         inside, held = (float(rms(part)[i]) for part in (found.fitted, found.continued))
-        if len(found.continued) and held > JUDGING.unlike * max(inside, 1.0):
+        if held > JUDGING.unlike * max(inside, 1.0):
             return (
                 f"the fitted part shows no model error beside a disturbance, but {output} is "
                 f"{held:.2g} times as far from its prediction where it was not fitted: diagnose "

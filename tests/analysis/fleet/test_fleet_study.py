@@ -85,9 +85,9 @@ def in_a_sea(folder: Path, rms: float, number: int, **cause: object) -> Path:
 
 
 def test_a_sea_is_no_cause(problem: casid.Problem, tmp_path: Path) -> None:
-    """Of 4 at a level of 5 % one is as many as 19 % of all such tests would see, two 1.4 %."""
+    """Of 3 at a level of 5 % one is as many as 14 % of all such tests would see, two 0.7 %."""
     alarms = 0
-    for rms in (3e-4, 1e-3, 3e-3, 1e-2):
+    for rms in (3e-4, 2e-3, 1e-2):
         folder = tmp_path / str(rms)
         folder.mkdir()
         found = casid.diagnose(problem, [problem.read(in_a_sea(folder, rms, 1))], advise=False)

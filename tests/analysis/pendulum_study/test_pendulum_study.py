@@ -168,7 +168,7 @@ def test_shares_count_what_the_thesis_counts() -> None:
 @pytest.mark.slow
 def test_the_study_prints_its_targets_and_keeps_its_tables_and_figures(tmp_path: Path) -> None:
     tiny = Extent(
-        runs=4, others=3, profiles=2, floor=2, N=12_000, N_nonlinear=3000, every=1, is_full=False
+        runs=3, others=2, profiles=2, floor=2, N=8000, N_nonlinear=2000, every=1, is_full=False
     )
     targets = list(study(Desk(1, Output(tmp_path), False), tiny))
     assert all(isinstance(t, Target) for t in targets)

@@ -22,8 +22,10 @@ from tests.support.hidden_forces import FORCES, model, record, weighted
 ALPHA = 0.05
 
 
-def with_gaps(kind: str, seed: int, gaps: str = "a fifth") -> casid.Experiment:
-    e = record(FORCES[kind], seed)
+def with_gaps(
+    kind: str, seed: int, gaps: str = "a fifth", seconds: float = 40.0
+) -> casid.Experiment:
+    e = record(FORCES[kind], seed, seconds=seconds)
     rng = np.random.default_rng(1000 + seed)
     mask = rng.random(e.record.N) < 0.2
     if gaps == "two of three":
@@ -61,7 +63,7 @@ def test_records_of_the_model_itself_raise_no_more_alarms_than_stated(gaps: str)
 def test_a_force_that_the_model_lacks_is_found_all_the_same() -> None:
     """10 N/m^3 of a cubic spring, with a fifth of the positions missing."""
     problem = casid.Problem("mass", model(), starts=1)
-    found = casid.diagnose(problem, with_gaps("cubic spring", 3), advise=False)
+    found = casid.diagnose(problem, with_gaps("cubic spring", 3, seconds=24.0), advise=False)
     assert [c.kind for c in found.causes] == ["cubic_stiffness"]
     size = found.causes[0].parameters[0]
     assert size.std_error is not None

@@ -178,7 +178,7 @@ def test_a_constant_torque_on_an_unstable_plant_is_named_with_its_size():
 
 def test_a_late_sensor_of_an_unstable_plant_is_named_with_its_delay():
     """One sample of the only sensor that is recorded."""
-    found = diagnosed(upright(late=1, seed=1).without("gyro"), "gyro")
+    found = diagnosed(upright(late=1, seed=1, N=1000).without("gyro"), "gyro")
     (cause,) = found.causes
     assert (cause.kind, cause.where) == ("time_delay", "phi")
     (delay,) = cause.parameters
