@@ -105,7 +105,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         remainder = attempt("the test of the remainder", test)
     disturbances = remainder.disturbances if remainder is not None else ()
     # Causes found beside a disturbance explain what it leaves.
-    is_beside = bool(disturbances) or bool(found.adopted and found.at.likelihoods.noise.spectra)
+    is_beside = bool(disturbances) or bool(found.adopted and found.at.noise.spectra)
     fitted, held = _errors(found, with_disturbances=is_beside)
     part = held if held.get("extended_rmse") else fitted
     counted = fitted if is_beside else part  # what is held out has another disturbance in it

@@ -35,7 +35,8 @@ _STYLE = """
 .casid .equations > div { margin: 8px 0; }
 .casid .equations .name { display: inline-block; min-width: 9ch; margin-right: 12px; }
 .casid .equations .unit { margin-left: 18px; }
-.casid math { font-size: 1.1em; }
+.casid math { font-size: 1.1em;
+  font-family: 'Latin Modern Math', 'STIX Two Math', 'Cambria Math', 'DejaVu Math TeX Gyre', math; }
 .casid .new { color: #0072b2; }
 .casid pre { background: none; }
 """

@@ -100,7 +100,8 @@ td code { background: none; padding: 0; }
 .equations > div { margin: 10px 0; }
 .equations .name { display: inline-block; min-width: 9ch; margin-right: 12px; color: var(--soft); }
 .equations .unit { margin-left: 18px; color: var(--soft); }
-.equations math { font-size: 1.1em; }
+.equations math { font-size: 1.1em;
+  font-family: 'Latin Modern Math', 'STIX Two Math', 'Cambria Math', 'DejaVu Math TeX Gyre', math; }
 .new { color: var(--link); }
 .lines { font-size: 14px; max-width: none; padding-left: 28px; }
 figure { margin: 16px 0; }

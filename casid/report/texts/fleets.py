@@ -23,6 +23,9 @@ def fleet_document(fleet: Fleet) -> Document:
     shown = fleet.findings[:_SHOWN]
     rows = [finding_cells(fleet, f) for f in shown]
     more = len(fleet.findings) - len(shown)
+    effects = Table(
+        effect_head(fleet), [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)
+    )
     return Document(
         f"Fleet of {fleet.problem}: {size_text(fleet)}",
         [
@@ -30,9 +33,7 @@ def fleet_document(fleet: Fleet) -> Document:
             ("errors", rates_text(fleet)),
             Table(FINDING_HEAD, rows, numbers=(3,)),
             *([f"  and {more} more, in fleet.json and report.html"] if more > 0 else []),
-            Table(
-                effect_head(fleet), [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)
-            ),
+            *([effects] if fleet.effects else []),
             *labelled("no asset", unlabelled_text(fleet)),
             *labelled("undecided", _grouped(fleet.undecided)),
             *labelled("refused", _grouped(fleet.refusals)),
