@@ -21,6 +21,9 @@ _MISSING = ["-", "--", "---", "?", "*", "n.a.", "#NV", "#VALUE!", "#WERT!", "#DI
 _MISSING += ["#BEZUG!", "<NA>", "bad", "Bad", "no data", "No Data", "NoData", "missing", "1.#INF"]
 
 
+_EMPTY = (
+    "the file holds no header and no samples. Export the measurement again, or give another file."
+)
 NO_NAMES = "no line of names"
 """What the remark about a file begins with that has none."""
 
@@ -52,10 +55,7 @@ class TextTable(Table):
     def _take_names(self, head: list[str]) -> None:
         layout, name = self.layout, self.path.name
         if not any(line.strip() for line in head):
-            raise DataError(
-                f"{name}: the file holds no header and no samples. "
-                "Export the measurement again, or give another file."
-            )
+            raise DataError(f"{name}: {_EMPTY}")
         if not layout.names and (named := names_above(head[: layout.first], layout)):
             raise DataError(
                 f"{name}: the header names {len(named)} columns, the rows hold {layout.width} "
@@ -96,6 +96,8 @@ class TextTable(Table):
         """Names for the columns of a file that has none, by their places."""
         layout, name = self.layout, self.path.name
         rows = [cells_of(x, layout.separator) for x in head if x.strip() and not COMMENT.match(x)]
+        if not rows or layout.first >= len(head):  # comments alone
+            raise DataError(f"{name}: {_EMPTY}")
         first = cells_of(head[layout.first], layout.separator)
         if layout.above or _is_count(rows):
             raise DataError(

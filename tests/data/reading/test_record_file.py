@@ -104,6 +104,14 @@ def test_a_file_without_names_is_read_by_the_places_of_its_columns(tmp_path):
     assert read_record(path, Ts=0.5)["column 1"] == pytest.approx(y, abs=0.006)
 
 
+@pytest.mark.parametrize("content", ["#", "# a remark\n# another\n", "\n#\n"])
+def test_a_file_of_comments_alone_holds_nothing(tmp_path, content):
+    path = tmp_path / "run.csv"
+    path.write_text(content)
+    with pytest.raises(DataError, match="holds no header and no samples. Export"):
+        read_record(path)
+
+
 def test_a_line_that_counts_the_columns_is_not_taken_for_samples(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("0,1,2\n" + "".join(f"{0.1 * k:.1f},{k},{k * k}\n" for k in range(9)))
