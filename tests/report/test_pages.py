@@ -12,8 +12,11 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.disturbances import Disturbance
+from casid.diagnosis.verdict.cause import Alternative, Ranked
 from casid.model.quantities import unit_text
+from casid.report.document import Table
 from casid.report.figures.diagnosis import diagnosis_figures
+from casid.report.pages.limit_parts import inseparable
 from tests.support import sample_parts, samples
 from tests.support.samples import page_of
 
@@ -27,6 +30,18 @@ SECTIONS = (
     "Undetectable in this set-up",
     "Calibration",
 )
+
+
+def test_an_unknown_alternative_is_listed_once():
+    """With its function described, and not again by the name that the search has for it."""
+    d = samples.deficient()
+    first = d.causes[0]
+    rival = Alternative("unknown", "torque", 0.4, "explains it as well", "a power of the angle")
+    tied = Ranked("unknown", "torque: phi^5", 1e-9, 1e-8, 40.0, "cannot be rejected")
+    d = replace(d, causes=(replace(first, alternatives=(rival,)),), ranking=(tied,))
+    table = inseparable(d)
+    assert isinstance(table, Table)
+    assert len(table.rows) == 1
 
 
 class Seen(HTMLParser):

@@ -19,10 +19,10 @@ def inseparable(d: Diagnosis) -> Table | str | None:
     for c in d.causes:
         same = ("indistinguishable from ", *effect_in_words(c.kind, c.where, c.description))
         for a in c.alternatives:
-            listed.add((a.kind, a.where))
+            listed.add(_told(a.kind, a.where))
             rows.append((effect_in_words(a.kind, a.where, a.description), same, a.why))
     for r in d.ranking:
-        if r.status == "cannot be rejected" and (r.kind, r.where) not in listed:
+        if r.status == "cannot be rejected" and _told(r.kind, r.where) not in listed:
             rows.append((effect_in_words(r.kind, r.where), r.status, r.why))
     for r in d.ranking:
         if r.status == "invisible" and not d.undetectable:  # else they have a section of their own
@@ -33,6 +33,11 @@ def inseparable(d: Diagnosis) -> Table | str | None:
         return nothing if d.ranking and not is_more else None
     caption = "Effects that this record can neither name nor exclude"
     return Table(("effect", "what", "why"), rows, caption=caption)
+
+
+def _told(kind: str, where: str) -> tuple[str, str]:
+    """Kind and place as alternatives have them: the function of an unknown one is described."""
+    return kind, where.partition(": ")[0] if kind == "unknown" else where
 
 
 def pairs_parts(d: Diagnosis) -> list[Part]:
