@@ -10,11 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from casid.diagnosis.advice.isolability import Isolability
 from casid.diagnosis.diagnosis import Ranked
 from casid.diagnosis.verdict.remainder import Moved, what_remains
 from casid.report.figures.candidate_ranking import ranking_figure
 from casid.report.figures.diagnosis import diagnosis_figures, gain_figure
 from casid.report.figures.estimates import parameter_figure
+from casid.report.figures.isolability import isolability_figure
 from casid.report.figures.misfit_shares import remaining_figure
 from casid.report.figures.moved_parameters import moved_figure
 from casid.report.figures.record_views import drawn
@@ -204,6 +206,18 @@ def test_the_spectrum_of_white_noise_lies_on_the_noise_floor():
     assert np.sqrt(np.mean(np.square(after.y))) == pytest.approx(floor.y[0], rel=0.06)
     assert np.max(trace(figure, "before").y) > 20 * floor.y[0]
     assert figure.layout.xaxis.title.text == "frequency [Hz]"
+
+
+@pytest.mark.parametrize(("causes", "step"), [(12, 1), (24, 2)])
+def test_columns_of_a_map_are_numbered_as_far_as_a_telephone_has_room(causes, step):
+    keys = tuple(("parameter_jump", f"p{i}") for i in range(causes))
+    figure = isolability_figure(Isolability(keys, np.eye(causes), (), ()))
+    numbers = list(figure.layout.xaxis.ticktext)
+    assert numbers[::step] == [str(i) for i in range(1, causes + 1, step)]
+    assert set(numbers) - set(numbers[::step]) <= {""}
+    assert [row.split("<b>")[1] for row in figure.layout.yaxis.ticktext] == [
+        f"{i}</b>" for i in range(1, causes + 1)
+    ]
 
 
 def test_ranking_shows_evidence_gain_and_status_in_words():

@@ -12,13 +12,13 @@ from casid.fleets.findings import Finding
 from casid.fleets.fleet import Fleet
 from casid.fleets.fleet_table import column
 from casid.fleets.random_effects import ParameterEffects
-from casid.model.effects.names import effect_words
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import (
     AFTER,
     BEFORE,
     MEASURED,
     axis_text,
+    effect_label,
     figure_text,
     translucent,
     visible_text,
@@ -56,7 +56,7 @@ def cause_figure(fleet: Fleet) -> Any:
     edges = _edges(fleet)
     z = [_shares(fleet, asset, found, edges) for (asset, _, _), found in shown]
     names = [
-        f"{figure_text(asset, 30)}<br><sub>{figure_text(effect_words(kind, where), 45)}</sub>"
+        f"{figure_text(asset, 30)}<br><sub>{effect_label(kind, where).replace(', ', '<br>')}</sub>"
         for (asset, kind, where), _ in shown
     ]
     figure = Panels(panels=1, row_height=38 * len(shown) + 30, gap=40)

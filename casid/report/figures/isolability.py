@@ -15,6 +15,8 @@ from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, BEFORE, effect_label, figure_text
 
 _SHOWN = 24
+_ALL_NUMBERED = 12
+"""Columns of a map on a telephone that have room for their numbers side by side."""
 _COLOUR_BAR = {
     "orientation": "h",
     "thickness": 10,
@@ -80,10 +82,11 @@ def isolability_figure(isolability: Isolability) -> Any:
 
 def _label_axes(figure: Any, numbers: list[int], rows: list[str]) -> None:
     """Number the columns above the map, name the rows, the first on top."""
+    step = 1 if len(numbers) <= _ALL_NUMBERED else 2
     figure.update_xaxes(
         side="top",
         tickvals=numbers,
-        ticktext=[str(i + 1) for i in numbers],
+        ticktext=["" if i % step else str(i + 1) for i in numbers],
         tickfont={"size": 10},
         showgrid=False,
     )
