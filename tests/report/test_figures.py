@@ -208,7 +208,7 @@ def test_the_spectrum_of_white_noise_lies_on_the_noise_floor():
     assert figure.layout.xaxis.title.text == "frequency [Hz]"
 
 
-@pytest.mark.parametrize(("causes", "step"), [(12, 1), (24, 2)])
+@pytest.mark.parametrize(("causes", "step"), [(8, 1), (24, 3)])
 def test_columns_of_a_map_are_numbered_as_far_as_a_telephone_has_room(causes, step):
     keys = tuple(("parameter_jump", f"p{i}") for i in range(causes))
     figure = isolability_figure(Isolability(keys, np.eye(causes), (), ()))

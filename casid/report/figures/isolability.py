@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, BEFORE, effect_label, figure_text
 
 _SHOWN = 24
-_ALL_NUMBERED = 12
-"""Columns of a map on a telephone that have room for their numbers side by side."""
+_NUMBERED = 8
+"""Columns of a map whose numbers have room side by side on a telephone."""
 _COLOUR_BAR = {
     "orientation": "h",
     "thickness": 10,
@@ -82,7 +83,7 @@ def isolability_figure(isolability: Isolability) -> Any:
 
 def _label_axes(figure: Any, numbers: list[int], rows: list[str]) -> None:
     """Number the columns above the map, name the rows, the first on top."""
-    step = 1 if len(numbers) <= _ALL_NUMBERED else 2
+    step = math.ceil(len(numbers) / _NUMBERED)
     figure.update_xaxes(
         side="top",
         tickvals=numbers,
