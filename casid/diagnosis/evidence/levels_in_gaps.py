@@ -12,8 +12,7 @@ that is where samples were recorded: the most probable levels, were both normal.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -21,7 +20,7 @@ from scipy.sparse import csc_array
 from casid.arrays import TINY, Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.sampling import gaps_of, stretches_of
-from casid.diagnosis.evidence.steps_in_gaps import begun_as, is_busy
+from casid.diagnosis.evidence.steps_in_gaps import begun_as, is_busy, with_columns
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
 from casid.estimation.simulation.input_gaps import FILLED
@@ -97,7 +96,12 @@ def _filled(
         there = np.delete(d.u[:, i], np.flatnonzero(d.filled[gap.channel]))
         level = column[gap.first : gap.stop] + c
         column[gap.first : gap.stop] = np.clip(level, there.min(), there.max())
-    return _with_levels(experiment, columns, by_outputs=by_outputs), len(gaps)
+    by = " and the outputs behind them" if by_outputs else ""
+    note = (
+        f"{FILLED}{', '.join(columns)}: its level in a gap is the likeliest by the samples around "
+        f"it{by}, as it has another one at every sample"
+    )
+    return with_columns(experiment, columns, [note]), len(gaps)
 
 
 def _gaps_of(fit: Fit, d: Signals) -> list[_Gap]:
@@ -185,18 +189,3 @@ def _effects(fit: Fit, d: Signals, x: Array, gaps: list[_Gap], place: int) -> cs
             entries.append(change[:, i])
     where = np.concatenate(rows), np.concatenate(columns)
     return csc_array((np.concatenate(entries), where), shape=(d.N * ny, len(gaps)))
-
-
-def _with_levels(
-    experiment: Experiment, columns: Mapping[str, Array], *, by_outputs: bool
-) -> Experiment:
-    """An experiment with other samples of some inputs, of which its record's history tells."""
-    record = experiment.record
-    by = " and the outputs behind them" if by_outputs else ""
-    note = (
-        f"{FILLED}{', '.join(columns)}: its level in a gap is the likeliest by the samples around "
-        f"it{by}, as it has another one at every sample"
-    )
-    old = [line for line in record.provenance if line != note]
-    channels = {**record.channels, **columns}
-    return replace(experiment, record=replace(record, channels=channels, provenance=(*old, note)))

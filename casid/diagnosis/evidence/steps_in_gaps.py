@@ -12,7 +12,7 @@ gap. The input is then filled accordingly.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,7 +104,8 @@ def _filled(
             moved += 1
     if not moved:
         return experiment, 0
-    return _with_columns(experiment, columns), moved
+    note = f"{', '.join(columns)} filled by steps in gaps, where the outputs behind them show"
+    return with_columns(experiment, columns, [note]), moved
 
 
 def _steps_of(fit: Fit, d: Signals) -> list[_Step]:
@@ -128,20 +129,22 @@ def is_busy(u: Array, gone: BoolArray) -> bool:
     return bool(both.any() and np.mean(np.diff(u)[both] != 0.0) > STEPS_IN_GAPS.busy)
 
 
-def _with_columns(experiment: Experiment, columns: Mapping[str, Array]) -> Experiment:
+def with_columns(
+    experiment: Experiment, columns: Mapping[str, Array], notes: Sequence[str]
+) -> Experiment:
     """An experiment with other samples of some inputs, of which its record's history tells."""
     record = experiment.record
-    note = f"{', '.join(columns)} filled by steps in gaps, where the outputs behind them show"
-    old = [line for line in record.provenance if line != note]
+    history = (*(line for line in record.provenance if line not in notes), *notes)
     channels = {**record.channels, **columns}
-    return replace(experiment, record=replace(record, channels=channels, provenance=(*old, note)))
+    return replace(experiment, record=replace(record, channels=channels, provenance=history))
 
 
 def begun_as(fitted: Experiment, whole: Experiment) -> Experiment:
-    """The fitted part of a record with the inputs of the whole."""
+    """The fitted part of a record with the inputs of the whole, and the history of those."""
     columns = {
         name: whole.record[name][: fitted.record.N]
         for name in whole.filled
         if not np.array_equal(whole.record[name][: fitted.record.N], fitted.record[name])
     }
-    return _with_columns(fitted, columns) if columns else fitted
+    notes = [n for n in whole.record.provenance if n not in fitted.record.provenance]
+    return with_columns(fitted, columns, notes) if columns else fitted

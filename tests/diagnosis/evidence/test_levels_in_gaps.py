@@ -60,6 +60,9 @@ def test_levels_are_estimated_to_a_fraction_of_their_spread() -> None:
     split = split_records(chosen, 0.3)
     fit = fit_model(room(), split.fitted, FitSettings(starts=1), throw=False)
     filled, count = with_levels_in_gaps(fit, split)
+    for part in (filled.whole[0], filled.fitted[0]):
+        assert any("is the likeliest by the samples" in line for line in part.record.provenance)
+        assert not any("by steps" in line for line in part.record.provenance)
     gone = record.missing["P"]
     assert count > 50
     before, after = (float(np.std((s.whole[0].record["P"] - P)[gone])) for s in (split, filled))
