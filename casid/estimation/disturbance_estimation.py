@@ -40,8 +40,8 @@ WIDER = 3.0
 MOVES = 4
 """Of one such search on to where it gains at its edge, at most."""
 LEAST = 0.05
-"""Of the power of an output, what a force in a stated rate makes of it: with less it would mend the
-shape that a force in a balance has between samples, where none is known."""
+"""Share of the power of an output that a force in a stated rate must account for. A weaker one only
+corrects the course between samples that is assumed for a force in a balance."""
 FILLINGS = 2
 """Draws of missing samples, each under the noise that the one before it gives."""
 
@@ -158,8 +158,7 @@ class _Search:
     def _price(self, found: Mapping[str, DisturbanceSpectrum]) -> float:
         """Schwarz's, of the parameters of the spectra, and of variances that no white noise has."""
         count = sum(1 if s.damping is None else 2 for s in found.values())
-        is_white = {name for group in self.noise.alike for name in group}
-        count += sum(name not in is_white for name in found)
+        count += len(self._in_rates(found))
         return 0.5 * count * float(np.log(max(self.white.count.sum(), 2.0)))
 
     def best_beside(
@@ -214,8 +213,7 @@ class _Search:
 
     def is_seen(self, value: Array, found: Mapping[str, DisturbanceSpectrum]) -> bool:
         """False if a force in a stated rate makes less than `LEAST` of every output."""
-        is_white = {name for group in self.noise.alike for name in group}
-        rates = [name for name in found if name not in is_white]
+        rates = self._in_rates(found)
         if not rates:
             return True
         noise = self.noise_of(found, value)
@@ -226,6 +224,11 @@ class _Search:
             np.any(noise.source_sd[name] ** 2 * gain2[:, of(name)] > LEAST * power)
             for name in rates
         )
+
+    def _in_rates(self, found: Mapping[str, DisturbanceSpectrum]) -> list[str]:
+        """The forces in stated rates, of which no part is white."""
+        is_white = {name for group in self.noise.alike for name in group}
+        return [name for name in found if name not in is_white]
 
     def noise_of(self, found: Mapping[str, DisturbanceSpectrum], value: Array) -> NoiseModel:
         """The noise model with these spectra and variances."""

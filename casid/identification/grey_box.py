@@ -25,6 +25,7 @@ from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution, not_converged
 from casid.estimation.nlp.solver import Solver, as_solver
+from casid.estimation.noise_response import unit_of_force
 from casid.estimation.prediction_error.extended_likelihood import (
     ExtendedOptions,
     ExtendedPredictionError,
@@ -406,8 +407,7 @@ def _unit(criterion: Criterion, name: str, source: str) -> str:
         return model.states[source].unit
     if source in model.outputs:
         return f"({model.outputs[source][1]})^2"
-    unit = model.inputs[source].unit if source in model.inputs else model.balances[source].unit
-    return f"({unit})^2" + (" s" if name.startswith("psd") else "")
+    return f"({unit_of_force(model, source)})^2" + (" s" if name.startswith("psd") else "")
 
 
 def _estimate(

@@ -89,7 +89,7 @@ _YEAR_LAST = re.compile(r"(\S+(?:\s+[AaPp][Mm])?)\s+(?:([A-Z]{2,5})\s+)?(\d{4})"
 def _day_first(text: pd.Series[str]) -> pd.Series[str]:
     """Dates in words as `3 Apr 2019 21:46:07`: those of C, of `date` and of e-mails.
 
-    A zone in letters other than UTC and GMT is taken for local time, whose changes of the hour are
+    A zone in letters other than UTC and GMT is taken for local time; daylight saving time is
     corrected afterwards.
     """
     if not re.match(rf"(?:{WEEKDAY}|{MONTH})", text.iloc[0], re.IGNORECASE):

@@ -72,17 +72,17 @@ class Search:
     attempts: Attempts = field(default_factory=Attempts)
     references: tuple[str, ...] | None = None  # of a control loop, among `recorded`
     refitting: Refitting = field(init=False)
-    disturbed: dict[int, tuple[Fit, Weighted]] = field(default_factory=dict)  # by identity
+    disturbed: dict[Fit, Weighted] = field(default_factory=dict)  # by identity
 
     def __post_init__(self) -> None:
         self.refitting = Refitting(self.weighing, attempts=self.attempts)
 
     def under_disturbance(self, fit: Fit) -> Weighted:
         """The model of a fit under the disturbances that its residual shows; sought once a fit."""
-        if id(fit) not in self.disturbed:  # it is kept, so that no other has its identity
+        if fit not in self.disturbed:
             weighing = self.weighing.with_disturbances()
-            self.disturbed[id(fit)] = fit, weighing.weigh(fit.criterion.model, fit, rounds=1)
-        return self.disturbed[id(fit)][1]
+            self.disturbed[fit] = weighing.weigh(fit.criterion.model, fit, rounds=1)
+        return self.disturbed[fit]
 
     def table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:
         """Score every effect not adopted yet."""

@@ -23,6 +23,7 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import DataError, ModelError, nearest
+from casid.estimation.noise_response import unit_of_force
 from casid.linear.noisy_model import White
 from casid.model.model import Model
 from casid.model.units import unit_quotient
@@ -111,12 +112,13 @@ def with_disturbances(
                 f"(--disturbance {name}:first), or eliminate it with an output that responds to it"
             )
     for d, place in zip(disturbances, places, strict=True):
+        force = _force(new, d, unit_of_force(model, place))
         if place in model.balances:
-            new.add_term(place, _force(new, d, model.balances[place].unit))
+            new.add_term(place, force)
         elif place in model.states:
-            new.add_rate(place, _force(new, d, unit_quotient(model.states[place].unit, "s")))
+            new.add_rate(place, force)
         else:
-            new.substitute_symbol(place, _force(new, d, model.inputs[place].unit))
+            new.substitute_symbol(place, force)
             del new.inputs[place]
         sources.append(White(d.source, 1.0, is_known=True))
     return new, sources
