@@ -167,9 +167,7 @@ def _each_beside(
     base, split = baseline.fit, baseline.split
     units = base.criterion.weights
     once = replace(settings.fit, starts=1, solver=settings.fit.solver or EXACT)
-    before = simulation_errors(base, split, units)
-    refine = Refinement(search, split, once, units, baseline.start, before)
-
+    refine = Refinement(search, split, once, units, baseline.start, base)
     is_sound = Soundness(base, split)
 
     def why(cause: Adopted, fit: Fit, without: Fit) -> str:

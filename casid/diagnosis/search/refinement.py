@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -63,14 +63,14 @@ class Adoption:
     remainders: tuple[Adopted, ...] = ()  # significant, but too small to matter
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Refinement:
     """The steps from what was adopted to the causes.
 
     Attributes
     ----------
     units : of the outputs, see `simulation_errors`.
-    start, before : the model as it is, and its errors.
+    start, base : the model as it is under its noise, and its simulation-error fit.
     """
 
     search: Search
@@ -78,7 +78,12 @@ class Refinement:
     settings: FitSettings
     units: Array
     start: Weighted
-    before: SimulationErrors
+    base: Fit
+
+    @cached_property
+    def before(self) -> SimulationErrors:
+        """The errors of the model as it is, in the units in which all others are compared."""
+        return simulation_errors(self.base, self.split, self.units)
 
     def significant(self, found: Adoption) -> Adoption:
         """Without what later causes have made insignificant, last first."""

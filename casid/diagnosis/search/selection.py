@@ -48,7 +48,7 @@ def adopt_causes(
     under = at.noise if search.weighing.takes_disturbances else None
     errors = simulation_errors(base_fit if under is None else at.fit, split, units, under)
     state = _Selection(search, split, once, units, at, errors, at, base_fit, errors)
-    refine = Refinement(search, split, once, units, at, errors)
+    refine = Refinement(search, split, once, units, at, base_fit)
     while len(state.adopted) < search.max_causes and state.adopt_next():
         state.exchange_last()
         if under is None:
@@ -65,9 +65,8 @@ def adopt_causes(
     what = "the fit of the extended model in units of its errors"
     fit = attempt(what, partial(weighted_by_errors, state.fit, once)) or state.fit
     fit = fit if Soundness(base_fit, split)(fit) else state.fit
-    units = fit.criterion.weights
-    found, errors = replace(found, fit=fit), simulation_errors(base_fit, split, units)
-    refine = Refinement(search, split, once, units, at, errors)
+    found, units = replace(found, fit=fit), fit.criterion.weights
+    refine = Refinement(search, split, once, units, at, base_fit)
     for what, step in (
         (superfluous, refine.significant),
         (SHARPNESS, refine.sharp),

@@ -42,9 +42,7 @@ def refinement(drag: float) -> Refinement:
     fit = fit_model(linear, split.fitted, ONCE)
     at = weighing.weigh(linear, fit)
     units = fit.criterion.weights
-    return Refinement(
-        Search(weighing, {}), split, ONCE, units, at, simulation_errors(fit, split, units)
-    )
+    return Refinement(Search(weighing, {}), split, ONCE, units, at, fit)
 
 
 def adopted(of: Refinement, *refits: Candidate) -> Adoption:
@@ -177,8 +175,7 @@ def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it(
     weighing = Weighing(split.fitted)
     fit = fit_model(model, split.fitted, ONCE)
     at, units = weighing.weigh(model, fit), fit.criterion.weights
-    errors = simulation_errors(fit, split, units)
-    of = Refinement(Search(weighing, {}), split, ONCE, units, at, errors)
+    of = Refinement(Search(weighing, {}), split, ONCE, units, at, fit)
     constant = of.search.refitting.refit(at, offset(model, "force"), 1.0)
     assert constant is not None
     dry = beside(of, constant, coulomb_friction(constant.model, "force", 0.01), 10.0)
