@@ -236,6 +236,12 @@ class Prewhitening:
         "units of log-likelihood by which a further round under a disturbance has to gain",
         f"{TESTS}/search/test_disturbances.py",
     )
+    enough: float = _is(
+        1e-5,
+        "of the criterion of a candidate, less than which a step would lower it: the refit ends "
+        "there. At 20 000 samples of noise alone a tenth of a unit of the log-likelihood",
+        f"{TESTS}/search/test_joint_refit.py",
+    )
     near_bound: float = _is(
         1e-6,
         "of a parameter, or of its scale: so near its bound it is held there",

@@ -32,6 +32,9 @@ NEAR = Solver(
 )
 """For fits that start next to their minimum: a large barrier would only lead away from it."""
 
+COMPARED = replace(NEAR, enough=PREWHITENING.enough)
+"""The same for candidates that are compared: what a further step would gain decides nothing."""
+
 EXACT = Solver(
     max_iterations=100, options={**NEAR.options, "ipopt.mu_init": 1e-6, "ipopt.tol": 1e-8}
 )

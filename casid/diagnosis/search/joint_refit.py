@@ -15,7 +15,12 @@ import numpy as np
 
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.divergence import diverging_size
-from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted, use_samples_of
+from casid.diagnosis.evidence.prewhitening import (
+    COMPARED,
+    Weighing,
+    Weighted,
+    use_samples_of,
+)
 from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
@@ -128,7 +133,7 @@ class Refitting:
         criterion = self.weighing.criterion(model, at.noise, values, at.criterion)
         fit = minimize_simulation_error(
             criterion,
-            solver=self.weighing.solver or NEAR,
+            solver=self.weighing.solver or COMPARED,
             check_rank=False,
             throw=False,
             retry="none",

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.errors import OutOfTimeError
 from casid.estimation.nlp.solution import Evaluation
 from casid.time_limit import no_time_limit
@@ -104,6 +104,9 @@ halved so often, by less than `FALL`."""
 FALL = 1e-6
 """By this share of its value: over 1e5 samples a twentieth of a unit of the log-likelihood."""
 
+STALLED = 5
+"""Steps that together have to lower a criterion by more than is enough (`Solver.enough`)."""
+
 
 class OnePass:
     """A criterion that remembers its last point: value, gradient and Hessian share one pass.
@@ -113,6 +116,7 @@ class OnePass:
 
     After `budget` passes, or the time limit, or `patience` shortened steps in which it did not
     fall, there are no values any more: at a kink a search would go on to steps that round to none.
+    The same where `enough` (`Solver.enough`) is reached.
 
     Attributes
     ----------
@@ -120,9 +124,17 @@ class OnePass:
     lowest, best : the lowest value so far, and where it was.
     """
 
-    def __init__(self, criterion: Criterion, budget: int, *, patience: float = np.inf) -> None:
+    def __init__(
+        self,
+        criterion: Criterion,
+        budget: int,
+        *,
+        patience: float = np.inf,
+        enough: float = 0.0,
+    ) -> None:
         self.criterion = criterion
-        self.budget, self.patience = budget, patience
+        self.budget, self.patience, self.enough = budget, patience, enough
+        self._taken: list[float] = []  # values at the steps taken
         self.ending = ""
         self.lowest, self.best = np.inf, np.zeros(0)
         self._alone: Callable[[Array], float] | None = getattr(criterion, "value_alone", None)
@@ -154,8 +166,21 @@ class OnePass:
 
     def __call__(self, point: Array) -> Evaluation:
         """What the criterion is at a point; nothing finite once it has ended."""
+        at = self._passed(point)
+        if self.enough and not self._is_met:
+            self._judge_step(at)
         self._is_met = True
-        return self._passed(point)
+        return at
+
+    def _judge_step(self, at: Evaluation) -> None:
+        """End the search where the steps from here would lower the criterion by too little."""
+        self._taken.append(at.value)
+        least = self.enough * abs(at.value)
+        if not self.ending and _promised_fall(at) <= least:
+            self.ending = "Solve_Succeeded"
+        before = self._taken[-1 - STALLED :]
+        if not self.ending and len(before) > STALLED and before[0] - self.lowest <= least:
+            self.ending = "Search_Direction_Becomes_Too_Small"
 
     def _passed(self, point: Array) -> Evaluation:
         key = point.tobytes()
@@ -199,3 +224,13 @@ class OnePass:
             at = self(point)
         self.ending = ending
         return at
+
+
+def _promised_fall(at: Evaluation) -> float:
+    """What a step of Gauss and Newton would lower a sum of squares by; infinite if it has none."""
+    if not all(np.all(np.isfinite(v)) for v in (at.value, at.gradient, at.hessian)):
+        return np.inf
+    unit = np.sqrt(np.maximum(np.diag(at.hessian), TINY))
+    curvature, slope = at.hessian / np.outer(unit, unit), at.gradient / unit
+    step = np.linalg.lstsq(curvature, slope, rcond=None)[0]
+    return float(0.5 * slope @ step)

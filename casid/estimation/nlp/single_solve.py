@@ -78,7 +78,10 @@ class CriterionProgram:
         barrier = solver.options.get("ipopt.mu_init", np.inf)
         is_near = natural_from is not None and barrier <= FALL
         patience = (PATIENCE_NEAR if is_near else PATIENCE) if self._is_alone else np.inf
-        self._one_pass = OnePass(criterion, 5 * solver.max_iterations, patience=patience)
+        enough = solver.enough if self._is_alone else 0.0
+        self._one_pass = OnePass(
+            criterion, 5 * solver.max_iterations, patience=patience, enough=enough
+        )
         self.evaluate = self._one_pass.judged
         self.options = solver.nlpsol_options()
         self._keep: list[Any] = []  # callbacks must outlive the solver

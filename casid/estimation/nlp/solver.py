@@ -73,11 +73,14 @@ class Solver:
     max_iterations : iterations before the solver gives up.
     options : passed to `casadi.nlpsol` unchanged; they win over casid's defaults, as
         ``{"qpsol": "daqp"}`` does for "sqpmethod".
+    enough : Ipopt ends on a sum of squares without constraints where a step promises to lower it by
+        less than this share of it, or some steps together did not lower it by more. 0: nowhere.
     """
 
     name: str = "ipopt"
     max_iterations: int = 300
     options: Mapping[str, Any] = field(default_factory=dict)
+    enough: float = 0.0
 
     def nlpsol_options(self) -> dict[str, Any]:
         """Options as `casadi.nlpsol` takes them."""

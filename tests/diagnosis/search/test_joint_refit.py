@@ -7,14 +7,16 @@ what the model misses adds up twice: its error is a hundred times the noise.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted
 from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.structure_effects import actuator_lag
 
@@ -84,13 +86,16 @@ def test_nothing_is_found_in_the_flight_of_the_model_itself() -> None:
     assert casid.diagnose(roll_axis(), flight(), advise=False).verdict == "adequate"
 
 
-def test_a_lag_that_is_longer_than_its_start_leaves_room_for_is_found_all_the_same() -> None:
-    """A push that reaches a sledge through a lag of 0.6 s, searched from a twentieth of that."""
-    Ts, N, lag, mass, drag, noise = 0.1, 600, 0.6, 5.0, 2.0, 0.01
+LAG_OF_PUSH = 0.6  # s
+
+
+def pushed_sledge(**settings: object) -> tuple[Refitting, Weighted]:
+    """A push that reaches a sledge through a lag, and the model without the lag at its noise."""
+    Ts, N, mass, drag, noise = 0.1, 600, 5.0, 2.0, 0.01
     rng = np.random.default_rng(4)
     push = np.repeat(rng.uniform(-10, 10, N // 20), 20)
-    A = np.array([[-drag / mass, 1 / mass], [0.0, -1 / lag]])
-    step = expm(np.block([[A, np.array([[0.0], [1 / lag]])], [np.zeros((1, 3))]]) * Ts)
+    A = np.array([[-drag / mass, 1 / mass], [0.0, -1 / LAG_OF_PUSH]])
+    step = expm(np.block([[A, np.array([[0.0], [1 / LAG_OF_PUSH]])], [np.zeros((1, 3))]]) * Ts)
     x, v = np.array([0.0, push[0]]), np.empty(N)
     for k in range(N):
         v[k] = x[0] + noise * rng.standard_normal()
@@ -105,8 +110,25 @@ def test_a_lag_that_is_longer_than_its_start_leaves_room_for_is_found_all_the_sa
     experiments = [casid.Experiment(record, {}, "push")]
     weighing = Weighing(experiments)
     at = weighing.weigh(m, fit_model(m, experiments, FitSettings(starts=1)))
-    effect = actuator_lag(m, "F", longest=3.0)
-    found = Refitting(weighing).refit(at, effect, 0.03, near=True)
+    return Refitting(replace(weighing, **settings)), at
+
+
+def test_a_lag_that_is_longer_than_its_start_leaves_room_for_is_found_all_the_same() -> None:
+    """A lag of 0.6 s, searched from a twentieth of that."""
+    refitting, at = pushed_sledge()
+    found = refitting.refit(at, actuator_lag(at.model, "F", longest=3.0), 0.03, near=True)
     assert found is not None
-    assert found.fit.values["tau_F"] == pytest.approx(lag, rel=0.05)
+    assert found.fit.values["tau_F"] == pytest.approx(LAG_OF_PUSH, rel=0.05)
     assert found.fit.solution.at_upper == ()
+
+
+def test_candidates_are_refitted_to_where_nothing_is_left_to_decide() -> None:
+    """Each of the two fits within 1e-5 of the criterion of one to the end, or twice that."""
+    gains = []
+    for solver in (NEAR, None):
+        refitting, at = pushed_sledge(solver=solver)
+        found = refitting.refit(at, actuator_lag(at.model, "F", longest=3.0), 0.3)
+        assert found is not None
+        gains.append(found.gain)
+    room = 2 * 2 * PREWHITENING.enough * at.fit.solution.value
+    assert gains[1] == pytest.approx(gains[0], abs=room)

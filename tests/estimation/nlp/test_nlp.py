@@ -186,6 +186,51 @@ def test_a_search_at_a_kink_ends_at_its_best_point():
     assert criterion.passes < 20 * 21 / 2 + 2 * PATIENCE
 
 
+NEAR = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7}
+
+
+@pytest.mark.parametrize("enough", [1e-2, 1e-4, 1e-6])
+def test_a_search_that_may_end_early_ends_within_the_share_it_was_given(enough):
+    """Gauss and Newton's step promises what is left to gain, but for the residual's curvature."""
+    best = decay(Decay()).solve(Solver(options=NEAR))
+    passes: list[int] = []
+
+    class Counting(Decay):
+        def evaluate(self, x):
+            passes[-1] += 1
+            return super().evaluate(x)
+
+    for share in (0.0, enough):
+        passes.append(0)
+        end = decay(Counting()).solve(
+            Solver(options=NEAR, enough=share), throw=False, natural_scales=True
+        )
+        assert best.value * (1 - 1e-12) <= end.value <= best.value * (1 + 2 * share + 1e-9)
+    assert end.status == "Solve_Succeeded"
+    assert passes[1] < passes[0]
+
+
+def test_a_search_at_a_kink_ends_sooner_where_less_is_enough():
+    """Each step halves the way to the kink, and five of them leave a thirtieth of it."""
+    whole, early = Kink(), Kink()
+    at_kink(whole)
+    nlp = Nlp("kink")
+    nlp.variable("a", 2.3)
+    nlp.variable("b", 1.0)
+    nlp.minimize(early)
+    end = nlp.solve(Solver(options=NEAR, enough=1e-2), throw=False, natural_scales=True)
+    assert end.value == pytest.approx(1.0, abs=0.02)
+    assert end.status == "Search_Direction_Becomes_Too_Small"
+    assert early.passes < whole.passes / 2
+
+
+def test_a_criterion_with_constraints_is_solved_to_its_end_whatever_is_enough():
+    """It may have to rise for as long as they are not met."""
+    solver = Solver(options=NEAR, enough=0.5)
+    whole, early = (decay(Decay(), "product").solve(s) for s in (Solver(), solver))
+    assert early.x == pytest.approx(whole.x, rel=1e-6)
+
+
 def test_a_search_without_steps_that_rise_has_no_watchdog():
     key = "ipopt.watchdog_shortened_iter_trigger"
     again = descending(None)
