@@ -254,7 +254,8 @@ def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Fi
     if not found.adopted or not found.baseline.levels or is_late:
         return found
     settings.progress("repeat with levels in gaps by the inputs alone")
-    held = search_causes(problem, fit_baseline(problem, split, settings, levels=False), settings)
+    settings = replace(settings, levels_by_outputs=False)
+    held = search_causes(problem, fit_baseline(problem, split, settings), settings)
     return held if held.adopted else found
 
 

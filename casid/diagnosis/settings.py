@@ -31,6 +31,7 @@ class DiagnosisSettings:
     progress : called with a line of text at every step.
     budget : seconds that the diagnosis may take, from `began` of `wall_clock` on.
     calibration_ends : when the calibration has to end; it has no limit unless one is given.
+    levels_by_outputs : whether the outputs, too, tell the levels of controlled inputs in gaps.
     """
 
     alpha: float = 0.05
@@ -41,6 +42,7 @@ class DiagnosisSettings:
     budget: float = math.inf
     began: float = field(default_factory=wall_clock)
     calibration_ends: float = math.inf
+    levels_by_outputs: bool = True
 
     @property
     def search_ends(self) -> float:

@@ -77,12 +77,8 @@ class Baseline:
     levels: int = 0
 
 
-def fit_baseline(
-    problem: Problem, split: Split, settings: DiagnosisSettings, *, levels: bool = True
-) -> Baseline:
+def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
     """Fit the model as it is, and find its noise.
-
-    `levels`: whether those of inputs in gaps are estimated by the outputs, too.
 
     Raises
     ------
@@ -93,7 +89,7 @@ def fit_baseline(
     if not reason:
         try:
             with until(settings.search_ends):
-                return _determined(problem, split, settings, levels)
+                return _determined(problem, split, settings)
         except OutOfTimeError:
             reason = (
                 "the budget of time ended before the model as it is was fitted: fit a shorter "
@@ -106,9 +102,7 @@ def fit_baseline(
     return _uninformative(problem, split, settings.fit, reason)
 
 
-def _determined(
-    problem: Problem, split: Split, settings: DiagnosisSettings, levels: bool
-) -> Baseline:
+def _determined(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
     """The model fitted to so much of the records that they determine its parameters.
 
     What is not seen of them in the first part of a record may be seen in its end.
@@ -116,7 +110,7 @@ def _determined(
     less = split
     while True:
         try:
-            found = _fitted(problem, less, settings, levels)
+            found = _fitted(problem, less, settings)
         except IdentifiabilityError:
             if not any(bool(held.any()) for held in less.held):
                 raise
@@ -134,7 +128,7 @@ def _determined(
         return replace(found, notes=(*found.notes, note))
 
 
-def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings, levels: bool) -> Baseline:
+def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
     say = settings.progress
     say("fit the model as it is")
     split, of_windows = in_windows(problem.model, split, settings.fit, say)
@@ -150,7 +144,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings, levels:
     if moved:
         say(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
         fit = _again(problem, split, settings, fit)
-    split, fit, gaps = _levelled(problem, split, settings, fit, by_outputs=levels)
+    split, fit, gaps = _levelled(problem, split, settings, fit)
     corrupted, split = without_corrupted(
         fit, split, settings.alpha, without=tuple(settings.without)
     )
@@ -186,10 +180,10 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings, levels:
 
 
 def _levelled(
-    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit, *, by_outputs: bool
+    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
 ) -> tuple[Split, Fit, int]:
     """The records with levels in the gaps of controlled inputs, their fit, and how many gaps."""
-    count = 0
+    count, by_outputs = 0, settings.levels_by_outputs
     for _ in range(STEPS_IN_GAPS.passes if by_outputs else 1):
         split, count = with_levels_in_gaps(fit, split, by_outputs=by_outputs)
         if not count:

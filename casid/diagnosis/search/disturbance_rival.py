@@ -70,8 +70,7 @@ def weighed_against_disturbances(
     if not start.noise_absorbs_misfit and (found.adopted or not held):
         return search, start, found
     settings.progress("compare what was found with a random disturbance in its place")
-    weighing = search.weighing.with_disturbances()
-    again = replace(search, weighing=weighing, tested=None, refused=[])
+    again = search.with_disturbances()
     bare = search.under_disturbance(base)
     if minus_log_likelihood(bare) > _as_white(base):
         return search, start, found
@@ -92,7 +91,7 @@ def weighed_against_disturbances(
         fit = found.fit
         own = search.under_disturbance(fit)
         found = replace(found, at=replace(found.at, beside=own))
-        beside = _beside(weighing, found, own, bare)
+        beside = _beside(again.weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
         may_be_random = not (_predicts(fit, baseline) or is_more_than_noise(bare, again))
         charged = _charged(found, bare, search, beside) if may_be_random else found

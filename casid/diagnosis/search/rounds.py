@@ -77,6 +77,11 @@ class Search:
     def __post_init__(self) -> None:
         self.refitting = Refitting(self.weighing, attempts=self.attempts)
 
+    def with_disturbances(self) -> Search:
+        """The search in which disturbances with spectra of their own count as noise."""
+        weighing = self.weighing.with_disturbances()
+        return replace(self, weighing=weighing, tested=None, refused=[])
+
     def under_disturbance(self, fit: Fit) -> Weighted:
         """The model of a fit under the disturbances that its residual shows; sought once a fit."""
         if fit not in self.disturbed:

@@ -226,10 +226,9 @@ class _Selection:
     def _is_random(self) -> bool:
         """True if nothing but a random disturbance shows in what is left: no two effects then."""
         search = self.search
-        beside = replace(search, weighing=search.weighing.with_disturbances(), tested=None)
         what = "the test of the remainder beside a random disturbance"
         at = search.attempts.attempt(what, lambda: search.under_disturbance(self.fit))
-        return at is not None and not is_more_than_noise(at, beside)
+        return at is not None and not is_more_than_noise(at, search.with_disturbances())
 
     def _with(self, first: Adopted) -> _Selection:
         """The selection as it would be with one more effect, whatever the errors say."""
