@@ -43,7 +43,7 @@ def estimated_texts(p: Estimated) -> tuple[str, str, str]:
     places = _places(p)
     if places is None:
         return _rounded(p.value, p.std_error), f"{p.std_error:.2g}", between
-    return f"{p.value:.{places}f}", f"{p.std_error:.{places}f}", between
+    return f"{p.value:z.{places}f}", f"{p.std_error:.{places}f}", between
 
 
 def _rounded(value: float, std_error: float) -> str:
@@ -72,7 +72,7 @@ def interval_text(p: Estimated) -> str:
 def _end_text(end: float, places: int | None) -> str:
     if math.isinf(end):
         return "no limit"
-    return number_text(end) if places is None else f"{end:.{places}f}"
+    return number_text(end) if places is None else f"{end:z.{places}f}"
 
 
 def interval_lines(e: Estimate) -> list[str]:

@@ -13,9 +13,12 @@ import pytest
 import casid
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.verdict.cause import Alternative, Ranked
+from casid.estimation.estimate import Estimated
 from casid.model.quantities import unit_text
 from casid.report.document import Table
 from casid.report.figures.diagnosis import diagnosis_figures
+from casid.report.numbers import estimated_texts
+from casid.report.pages.cause_parts import ranking_parts
 from casid.report.pages.limit_parts import inseparable
 from tests.support import sample_parts, samples
 from tests.support.samples import page_of
@@ -42,6 +45,24 @@ def test_an_unknown_alternative_is_listed_once():
     table = inseparable(d)
     assert isinstance(table, Table)
     assert len(table.rows) == 1
+
+
+def test_candidates_stand_by_what_became_of_them_then_by_p_and_gain():
+    """Of many the p is below what a number holds; what they gain tells them apart."""
+    fates = {"a": ("rejected", 0.0, 5.0), "b": ("rejected", 0.0, 50.0), "c": ("named", 1e-9, 9.0)}
+    fates |= {"d": ("cannot be rejected", 1e-8, 8.0), "e": ("rejected", 1e-3, 90.0)}
+    rows = tuple(Ranked(k, "torque", p, p, gain, how) for k, (how, p, gain) in fates.items())
+    table = ranking_parts(replace(samples.deficient(), ranking=rows))[0]
+    assert isinstance(table, Table)
+    assert [row[2] for row in table.rows] == ["9", "8", "50", "5", "90"]
+
+
+def test_no_number_is_less_than_nothing_when_it_is_rounded():
+    """-3e-7 to the second digit of an error of 1.2e-4 is zero, and so is the upper end."""
+    p = Estimated("x", -3e-7, "m", std_error=1.2e-4, ends=(-2e-4, -1e-9), interval_kind="profile")
+    value, _, between = estimated_texts(p)
+    assert value == "0.00000"
+    assert between == "-0.00020 .. 0.00000 (profile)"
 
 
 class Seen(HTMLParser):

@@ -24,5 +24,7 @@ def record_figure(record: Record) -> Any:
         figure.line(k, t, y, figure_text(name), MEASURED, width=1.2, **own)
         figure.label(k, x="time [s]" if k == len(shown) - 1 else None, y=axis_text(name, unit))
     more = len(record.channels) - len(shown)
-    caption = f"Channels of {visible_text(record.name)}" + (f"; {more} more" if more else "")
+    caption = f"Channels of {visible_text(record.name) or 'the record'}" + (
+        f"; {more} more" if more else ""
+    )
     return figure.done(f"{caption}.", ())

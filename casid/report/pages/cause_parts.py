@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from casid.diagnosis.diagnosis import Cause, Diagnosis, Ranked
@@ -102,10 +103,22 @@ def no_cause(d: Diagnosis) -> str:
 _MOST = 10  # candidates of which more unfold
 
 
+_FATES = ("named", "cannot be rejected", "rejected", "invisible")  # of significant candidates
+
+
 def ranking_parts(d: Diagnosis) -> list[Part]:
-    """The catalogue as it was tested: ten candidates, then the others unfold."""
+    """The catalogue as it was tested: ten candidates, then the others unfold.
+
+    By what became of them, then by their p, and those of the same p by what they gain.
+    """
     facts = Facts.of(d)
-    shown = [r for r in d.ranking if r.status != "not significant"]
+
+    def order(r: Ranked) -> tuple[int, float, float]:
+        """Its place in the table; one without a p comes last."""
+        p = facts.p_value(r.kind, r.where)
+        return _FATES.index(r.status), math.inf if math.isnan(p) else p, -(r.gain or 0.0)
+
+    shown = sorted((r for r in d.ranking if r.status in _FATES), key=order)
     first, others = shown[:_MOST], shown[_MOST:]
     not_significant = [r for r in d.ranking if r.status == "not significant"]
     return [
