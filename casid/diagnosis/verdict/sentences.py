@@ -19,7 +19,6 @@ from casid.model.effects.effect import Effect
 from casid.model.effects.names import (
     FLOW,
     OVERFLOW,
-    STORE,
     effect_words,
     either_words,
     place_words,
@@ -158,7 +157,7 @@ def says(effect: Effect, column: str = "") -> str:
         start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
         change = f"its change is that from {start} to {stop}, its value the one in the middle"
         return f"{says_kind(effect.kind, effect.where)} ({change})"
-    if effect.kind == "missing_mode" and effect.description.startswith(STORE):
+    if effect.is_store:
         return effect.description
     if effect.kind != "unknown" and effect.description.startswith((FLOW, OVERFLOW)):
         there = f"the {effect.where} balance" if effect.where.isidentifier() else effect.where
