@@ -894,6 +894,12 @@ class Judging:
     )
     alias: float = _is(0.99, "|cosine| of two effects that are the same in this model", POWER_STUDY)
     aliases: int = _is(3, "of them that are listed", POWER_STUDY)
+    exchanges: float = _is(
+        0.7,
+        "|correlation| of two estimates that make up for each other: half of the variance of one "
+        "goes with the other",
+        f"{TESTS}/verdict/test_unknown_sizes.py",
+    )
     small_outliers: float = _is(
         0.01,
         "of the criterion, and of the white noise of the sensor: outliers that carry less are not "
