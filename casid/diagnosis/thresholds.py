@@ -755,6 +755,12 @@ class Description:
         "found: its estimate ended next to zero",
         f"{TESTS}/verdict/test_sentences.py",
     )
+    no_noise: float = _is(
+        1e-6,
+        "of the scatter of an input, its white noise below which none was found: no logger has 20 "
+        "bits of it, and the estimate ended next to zero",
+        f"{TESTS}/verdict/test_sentences.py",
+    )
     as_well: float = _is(
         2.0,
         "of BIC, up to which an alternative is said to explain the misfit as well",

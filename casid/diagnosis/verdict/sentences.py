@@ -321,12 +321,13 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
             continue
         if source in at.model.inputs:
             own = at.input_sd.get(source, 0.0)
+            moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
+            is_found = own > DESCRIPTION.no_noise * moves
             if own <= 0 and not is_seen(at, source):
                 continue
             text = (
-                f"white input noise {text_of(source, own)}" if own > 0 else "no white noise found"
+                f"white input noise {text_of(source, own)}" if is_found else "no white noise found"
             )
-            moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
             if not is_all and sd > moves:
                 text += (
                     f"; the residual implies more than the motion of {source} itself "
