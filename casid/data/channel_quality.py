@@ -343,14 +343,14 @@ def _wrapped(record: Record, name: str) -> list[Finding]:
 
 
 def _trend(record: Record, name: str, shown: str) -> tuple[float, list[Finding]]:
-    """The change of a straight line over the record, noticed where it exceeds the scatter."""
+    """The change of a line over the record, noticed beyond its scatter if no step is nearer."""
     mask = record.is_missing(name)
     kept = record.filled(name)[~mask]
     s = np.linspace(-0.5, 0.5, record.N)[~mask]
     s0 = s - s.mean()
     drift = float(s0 @ kept / (s0 @ s0)) if kept.size > 1 else 0.0
     spread = float(np.std(kept - drift * s))
-    if abs(drift) <= 3 * spread:
+    if abs(drift) <= 3 * spread or _scatter_about_step(kept) < spread:
         return drift, []
     times = abs(drift) / max(spread, TINY)
     return drift, [
@@ -363,6 +363,14 @@ def _trend(record: Record, name: str, shown: str) -> tuple[float, list[Finding]]
             "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
         )
     ]
+
+
+def _scatter_about_step(x: FloatArray) -> float:
+    """Standard deviation about the one step from level to level that is nearest."""
+    n, y = np.arange(1, x.size), x - x.mean()
+    sums = np.cumsum(y)[:-1]  # as much from the step on, with the other sign
+    gain = sums**2 * (1 / n + 1 / (x.size - n))
+    return float(np.sqrt(max(np.mean(y**2) - gain.max(initial=0.0) / x.size, 0.0)))
 
 
 def _runs(x: FloatArray, mask: BoolArray) -> tuple[int, int, int, int, int]:

@@ -761,6 +761,12 @@ class Description:
         "found: its estimate ended next to zero",
         f"{TESTS}/verdict/test_sentences.py",
     )
+    no_noise: float = _is(
+        1e-6,
+        "of the scatter of an input, its white noise below which none was found: no logger has 20 "
+        "bits of it, and the estimate ended next to zero",
+        f"{TESTS}/verdict/test_sentences.py",
+    )
     as_well: float = _is(
         2.0,
         "of BIC, up to which an alternative is said to explain the misfit as well",
@@ -900,6 +906,12 @@ class Judging:
     )
     alias: float = _is(0.99, "|cosine| of two effects that are the same in this model", POWER_STUDY)
     aliases: int = _is(3, "of them that are listed", POWER_STUDY)
+    exchanges: float = _is(
+        0.7,
+        "|correlation| of two estimates that make up for each other: half of the variance of one "
+        "goes with the other",
+        f"{TESTS}/verdict/test_unknown_sizes.py",
+    )
     small_outliers: float = _is(
         0.01,
         "of the criterion, and of the white noise of the sensor: outliers that carry less are not "

@@ -249,6 +249,15 @@ def test_an_angle_that_wraps_is_found_and_unwrapped_by_the_mend():
     assert not any("wraps" in t for t in texts(check(mended)))
 
 
+def test_a_step_and_what_follows_it_are_no_trend():
+    """A step halfway is 3.5 times its scatter about a line; a response to it as well."""
+    step = np.where(np.arange(N) < 0.4 * N, 0.0, 9.0)
+    late = np.where(step > 0, 9 * (1 - np.exp(-(TIME - TIME[int(0.4 * N)]) / 0.05)), 0.0)
+    for y in (step, late + 0.01 * smooth()):
+        assert not any("a trend" in t for t in texts(check(record(y))))
+    assert any("a trend" in t for t in texts(check(record(TIME + 0.1 * step))))
+
+
 def test_a_trend_and_missing_samples_are_noted():
     mask = np.arange(N) < 10
     y = smooth() + 0.2 * TIME

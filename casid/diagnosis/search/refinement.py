@@ -7,6 +7,7 @@ therefore refined when it is complete, by the errors of all causes together:
 - where misfit passed for noise, gains were no likelihoods: a cause whose rival, in its place beside
   the others, fits as well in practice and predicts what was held out better gives way to it, and a
   function without a name to a named effect that fits and predicts as well in practice;
+- a store whose time constant ends at a bound gives way to what is simpler and does the same;
 - a cause that explains less than `JUDGING.practical` of the misfit is a small remainder: reported,
   but not as a cause, unless a parameter of the model is another one without it (`JUDGING.carried`):
   dry friction that viscous friction replaces but for little. A remainder leaves the extended model
@@ -136,7 +137,8 @@ class Refinement:
         errors = simulation_errors(fit, self.split, self.units)
         is_new = False
         for i in range(len(adopted)):
-            rivals = list(self._rivals(adopted, i))
+            is_limit = _is_at_its_limit(fit, adopted[i].candidate)
+            rivals = list(self._rivals(adopted, i, is_limit=is_limit))
             bare = self._errors_without(adopted, i, fit) if rivals else self.before
             for rival in rivals:
                 pair = (
@@ -152,7 +154,8 @@ class Refinement:
                 if tried is None:
                     continue
                 placed, other, after = tried
-                if self._is_preferred(adopted[i].candidate, bare, errors, after):
+                own = adopted[i].candidate
+                if self._is_preferred(own, bare, errors, after, is_limit=is_limit):
                     adopted = [
                         replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)
                     ]
@@ -275,16 +278,24 @@ class Refinement:
             return found
         return self._lean(replace(found, remainders=tuple(small)), kept, fit)
 
-    def _rivals(self, adopted: Sequence[Adopted], i: int) -> Iterator[Candidate]:
-        """What may stand in the place of a cause; of a function without a name, every name."""
+    def _rivals(
+        self, adopted: Sequence[Adopted], i: int, *, is_limit: bool = False
+    ) -> Iterator[Candidate]:
+        """What may stand in the place of a cause; of a function without a name, every name.
+
+        Parameters
+        ----------
+        is_limit : the cause does what a simpler effect does, with a name or without.
+        """
         taken = {a.candidate.effect.key for a in adopted}
         own = adopted[i].candidate.effect
         candidates = [r.candidate for r in adopted[i].rivals]
-        if own.is_unnamed:
+        if own.is_unnamed or is_limit:
             candidates += [c for c in self.search.first_candidates if c.effect.where == own.where]
         count = 0
         for c in candidates:
-            is_new = c.effect.key not in taken and c.effect.kind != "unknown" and not is_imitator(c)
+            may_be = c.effect.kind != "unknown" or is_limit and c.effect.is_unnamed
+            is_new = c.effect.key not in taken and may_be and not is_imitator(c)
             # Near one level a constant fits as well as the law whose tangent it is.
             is_tangent = own.kind == "unknown" and not own.is_unnamed and c.effect.kind in TANGENTS
             if is_new and not is_tangent and count < ROUNDS.rivals:
@@ -309,7 +320,13 @@ class Refinement:
         return simulation_errors(without, self.split, self.units)
 
     def _is_preferred(
-        self, own: Candidate, bare: SimulationErrors, old: SimulationErrors, new: SimulationErrors
+        self,
+        own: Candidate,
+        bare: SimulationErrors,
+        old: SimulationErrors,
+        new: SimulationErrors,
+        *,
+        is_limit: bool = False,
     ) -> bool:
         """True if a rival fits as well in practice, and predicts better or is the one with a name.
 
@@ -320,7 +337,9 @@ class Refinement:
         fits = new.square - old.square < JUDGING.practical * (bare.square - old.square)
         gained = bare.held_out_square - old.held_out_square
         lost = new.held_out_square - old.held_out_square
-        if own.effect.is_unnamed:
+        if is_limit and not own.effect.is_store:  # of two simpler ones, the better
+            return new.square < old.square and lost < 0.0
+        if own.effect.is_unnamed or is_limit:
             return fits and lost <= JUDGING.practical * max(gained, 0.0)
         left = (1 - JUDGING.practical) * old.held_out_square  # less is no better in practice
         return fits and 0.0 <= new.held_out_square < left and not why_held_out(old, new)
@@ -387,6 +406,16 @@ def _moves(kept: Sequence[Adopted], fit: Fit, other: Fit) -> bool:
     names = {a.candidate.names[0] for a in kept} & set(fit.criterion.names)
     shift = {n: abs(fit.values[n] - other.values[n]) for n in names}
     return any(d > std_error(fit, n) for n, d in shift.items())
+
+
+def _is_at_its_limit(fit: Fit, c: Candidate) -> bool:
+    """True of a store whose time constant ends at a bound: what it does, a simpler effect does.
+
+    One that follows next to never is a flow that grows with the level; one that follows at once,
+    a larger capacity.
+    """
+    held = {*fit.solution.at_lower, *fit.solution.at_upper}
+    return c.effect.is_store and any(name in held for name in c.names[1:])
 
 
 def _carries(model: Model, fit: Fit, without: Fit) -> bool:

@@ -37,6 +37,8 @@ from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import HYSTERESIS_SHAPE
 
 SHARPNESS = "the sharpness of dry friction"
+LATE = ("time_delay", "sensor_lag", "actuator_lag")
+"""Kinds by which an input acts, or a sensor shows, later than in the model."""
 
 
 def adopt_causes(
@@ -92,6 +94,7 @@ class _Selection:
     fit: Fit  # simulation error, whole records
     errors: SimulationErrors
     adopted: list[Adopted] = field(default_factory=list)
+    stores: list[Adopted] = field(default_factory=list)  # significant in the last round
 
     @property
     def found(self) -> Adoption:
@@ -139,14 +142,18 @@ class _Selection:
         if search.misfit_passes_for_noise(at):
             beside = search.weighing.takes_disturbances
             causes = without_imitations(found, significant, by_likelihood=beside)
-        out = []
-        for best in _named_first(at, causes):
-            p = p_values[best.effect.key]
-            if p < search.alpha and (best.merit > 0 or is_alarm):
-                others = [c for c in found if c is best or c.effect.shape != HYSTERESIS_SHAPE]
-                rivals, near = rivals_of(at, best, others), near_ones(at, best, causes)
-                out.append(Adopted(best, p, rivals, at, is_alarm, near=near))
-        return out
+
+        def adoptable(best: Candidate) -> Adopted:
+            others = [c for c in found if c is best or c.effect.shape != HYSTERESIS_SHAPE]
+            rivals, near = rivals_of(at, best, others), near_ones(at, best, causes)
+            return Adopted(best, p_values[best.effect.key], rivals, at, is_alarm, near=near)
+
+        self.stores = [adoptable(c) for c in significant if c.effect.is_store and c.merit > 0]
+        return [
+            adoptable(c)
+            for c in _named_first(at, causes)
+            if c in significant and (c.merit > 0 or is_alarm)
+        ]
 
     def _adopt(self, news: Sequence[Adopted], *, note: bool = True) -> bool:
         """Extend the model, unless its errors speak against it, or the fit fails.
@@ -201,26 +208,30 @@ class _Selection:
         """Adopt two effects at once where each alone makes the held-out error no better.
 
         Of two that act together, stiffness and damping of one swing say, the first alone shifts
-        the errors from where it helps to where the second is missing.
+        the errors from where it helps to where the second is missing. A further store alone makes
+        up for a dead time by its own time constant, and with it foretells what is slow the worse.
         """
         room = self.search.max_causes - len(self.adopted)
-        lasting = [a for a in refused if not is_imitator(a.candidate)]
-        if room < 2 or not lasting or not self.at.noise_absorbs_misfit or self._is_random():
+        if room < 2 or not self.at.noise_absorbs_misfit:
             return False
-        for first in lasting[: ROUNDS.pairs]:
-            self.search.progress(
-                f"look for a second cause beside {name_of(first.candidate.effect)}"
-            )
-            what = f"the search beside {name_of(first.candidate.effect)}"
-            beside = self.search.attempts.attempt(what, partial(self._with, first))
-            for second in beside._significant() if beside is not None else ():
-                is_lasting = not is_imitator(second.candidate)
-                if is_lasting and self._adopt([first, second], note=False):
-                    keys = {a.candidate.effect.key for a in self.adopted}
-                    self.search.refused = [
-                        row for row in self.search.refused if row[0].effect.key not in keys
-                    ]
-                    return True
+        lasting = [a for a in refused if not is_imitator(a.candidate)]
+        if lasting and not self._is_random():
+            if any(map(self._adopt_beside, lasting[: ROUNDS.pairs])):
+                return True
+        return any(map(self._adopt_beside, self.stores))
+
+    def _adopt_beside(self, first: Adopted) -> bool:
+        """Adopt an effect, and one that is significant beside it, if they may act together."""
+        search = self.search
+        search.progress(f"look for a second cause beside {name_of(first.candidate.effect)}")
+        what = f"the search beside {name_of(first.candidate.effect)}"
+        beside = search.attempts.attempt(what, partial(self._with, first))
+        for second in beside._significant() if beside is not None else ():
+            is_pair = _may_act_together(first.candidate, second.candidate)
+            if is_pair and self._adopt([first, second], note=False):
+                keys = {a.candidate.effect.key for a in self.adopted}
+                search.refused = [row for row in search.refused if row[0].effect.key not in keys]
+                return True
         return False
 
     def _is_random(self) -> bool:
@@ -298,6 +309,14 @@ class _Selection:
         self.adopted[-1] = exchanged(taken, other)
         self.errors, self.fit, self.at = errors, fit, instead
         return True
+
+
+def _may_act_together(first: Candidate, second: Candidate) -> bool:
+    """True of two laws, and of a further store with a delay or a lag: both act on what is fast."""
+    effects = (first.effect, second.effect)
+    if any(e.is_store for e in effects):
+        return any(e.kind in LATE for e in effects)
+    return not (is_imitator(first) or is_imitator(second))
 
 
 def _why_undetermined(before: Fit, after: Fit, c: Candidate) -> str:

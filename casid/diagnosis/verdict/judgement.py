@@ -15,7 +15,7 @@ from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
-from casid.diagnosis.verdict.error_bars import bars_of
+from casid.diagnosis.verdict.error_bars import bars_of, unknown_sizes
 from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
@@ -311,6 +311,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         switches = {a.candidate.names[0] for a in found.adopted if a.candidate.effect.is_switched}
         errors = partial(std_error, found.at.fit)
         notes += weak_parameters(found.at, errors, reported, without=switches)
+        notes += unknown_sizes(judged.causes, reported)
     if negated is not None and negated.reference:
         notes.append(
             f"the sign of {negated.channel} was determined with instruments from "

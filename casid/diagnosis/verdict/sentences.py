@@ -19,7 +19,6 @@ from casid.model.effects.effect import Effect
 from casid.model.effects.names import (
     FLOW,
     OVERFLOW,
-    STORE,
     effect_words,
     either_words,
     place_words,
@@ -158,7 +157,7 @@ def says(effect: Effect, column: str = "") -> str:
         start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
         change = f"its change is that from {start} to {stop}, its value the one in the middle"
         return f"{says_kind(effect.kind, effect.where)} ({change})"
-    if effect.kind == "missing_mode" and effect.description.startswith(STORE):
+    if effect.is_store:
         return effect.description
     if effect.kind != "unknown" and effect.description.startswith((FLOW, OVERFLOW)):
         there = f"the {effect.where} balance" if effect.where.isidentifier() else effect.where
@@ -322,12 +321,13 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
             continue
         if source in at.model.inputs:
             own = at.input_sd.get(source, 0.0)
+            moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
+            is_found = own > DESCRIPTION.no_noise * moves
             if own <= 0 and not is_seen(at, source):
                 continue
             text = (
-                f"white input noise {text_of(source, own)}" if own > 0 else "no white noise found"
+                f"white input noise {text_of(source, own)}" if is_found else "no white noise found"
             )
-            moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
             if not is_all and sd > moves:
                 text += (
                     f"; the residual implies more than the motion of {source} itself "

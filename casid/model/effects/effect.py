@@ -16,6 +16,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model.declarations import Parameter
+from casid.model.effects.names import STORE
 from casid.model.effects.search_ranges import SMOOTHING
 from casid.model.identifiers import made_identifier
 from casid.model.model import Model
@@ -110,6 +111,11 @@ class Effect:
     def has_states(self) -> bool:
         """True of what moves on its own; its states do nothing while it is null."""
         return self.kind == "missing_mode" or self.shape == HYSTERESIS_SHAPE
+
+    @property
+    def is_store(self) -> bool:
+        """True of a store that follows another with a time constant: it cannot swing."""
+        return self.kind == "missing_mode" and self.description.startswith(STORE)
 
     @property
     def sets_in(self) -> bool:

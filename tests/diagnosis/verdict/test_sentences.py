@@ -205,6 +205,8 @@ def test_a_residual_that_is_noise_implies_nothing_of_an_input():
     assert "the residual implies up to 0.3 m/s" in noise_text(at)["u"]
     assert noise_text(at, is_all=True)["u"] == "white input noise 10 mm/s"
     assert noise_text(at)["z"] == "white output noise 0.1 m"
+    at.input_sd["u"] = 1e-9  # no logger has it, and the estimate ended next to zero
+    assert noise_text(at)["u"].startswith("no white noise found; the residual implies up to 0.3")
 
 
 def test_an_output_whose_noise_ended_at_zero_has_none_instead_of_nanometres():
