@@ -261,8 +261,9 @@ def changes(part: Part) -> bool:
 def improves(part: Part) -> bool:
     """True if including the causes lowers the squared error, outputs in units of their floor.
 
-    An output without a noise floor counts in units of its error before. True, too, where there is
-    nothing to compare.
+    An output without a noise floor counts in units of its error before. An error below its floor
+    counts as one at the floor: noise makes it larger or smaller. True, too, where there is nothing
+    to compare.
     """
     before, after = part.get("baseline_rmse", {}), part.get("extended_rmse", {})
     floor = part.get("noise_floor", {})
@@ -270,6 +271,7 @@ def improves(part: Part) -> bool:
     for output in after:
         scale = floor.get(output) or before.get(output, 0.0)
         if output in before and scale > 0 and math.isfinite(before[output] + after[output]):
-            sums[0] += (before[output] / scale) ** 2
-            sums[1] += (after[output] / scale) ** 2
+            least = floor.get(output, 0.0)
+            sums[0] += (max(before[output], least) / scale) ** 2
+            sums[1] += (max(after[output], least) / scale) ** 2
     return sums[1] <= sums[0]
