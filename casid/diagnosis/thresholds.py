@@ -293,6 +293,12 @@ class Scores:
         "quadratic damping in a long decay. Below it a linear signature does not predict a fit",
         POWER_STUDY,
     )
+    least_reach: float = _is(
+        1e-8,
+        "squares that initial states of windows leave of a signature, at least: with more growth "
+        "over a window than ten thousand, rounding would count",
+        f"{TESTS}/evidence/test_unstable_records.py",
+    )
     much: float = _is(
         100.0,
         "Lagrange multiplier statistic that noise of the size assumed does not reach",

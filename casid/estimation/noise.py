@@ -17,10 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.fft import rfft
 from scipy.optimize import lsq_linear, nnls
-from scipy.special import gammaincinv
-from scipy.stats import norm
 
 from casid.arrays import TINY, Array, BoolArray, require_finite
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
@@ -30,6 +27,7 @@ from casid.estimation.missing_samples import (
     UnbrokenInnovations,
     unbroken,
 )
+from casid.estimation.noise_floor import is_held, white_floor
 from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.residual_spectra import Spectra, spectra_of
 from casid.estimation.simulation.signals import Signals
@@ -436,53 +434,3 @@ def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict
         name: rounded.get(name, 0.0) if is_held(c) else white_floor(c)
         for name, c in columns.items()
     }
-
-
-def is_held(records: Sequence[Array]) -> bool:
-    """True of a channel that repeats its last value exactly in more than half of its samples."""
-    return bool(np.mean(np.concatenate([np.diff(c) == 0.0 for c in records])) > 0.5)
-
-
-def white_floor(records: Sequence[Array]) -> float:
-    """The same for one channel, (N,) a record.
-
-    Where the signal steps now and then, its spectrum reaches up to Nyquist, but most of its third
-    differences are those of the noise: their median counts where it is lower by more than chance.
-    """
-    floor = _quietest(records)
-    between = _between_steps(records)
-    by_chance = 4.0 * floor_error([len(values) for values in records])  # standard errors
-    return between if 0.0 < between**2 < (1.0 - by_chance) * floor**2 else floor
-
-
-def _between_steps(records: Sequence[Array]) -> float:
-    """Standard deviation of white noise from the median of the third differences' size."""
-    size = np.abs(np.concatenate([np.diff(values, 3) for values in records]))
-    return float(np.median(size) / (norm.ppf(0.75) * np.sqrt(20.0))) if len(size) else 0.0
-
-
-def _quietest(records: Sequence[Array]) -> float:
-    """Standard deviation of white noise from the quietest parts of the upper half band."""
-    parts: list[float] = []
-    shape = np.inf
-    for values in records:
-        # A taper, else the ends' jump leaks to Nyquist.
-        window = np.hanning(len(values))
-        spectrum = np.abs(rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
-        pieces = [p for p in np.array_split(spectrum[len(spectrum) // 2 :], 20) if len(p)]
-        parts += [float(p.mean()) for p in pieces]
-        # Hann's bins are correlated by 2/3 and 1/6 in amplitude with the next and the second.
-        shape = min(shape, float(np.mean([len(p) for p in pieces])) / (1 + 2 * (4 / 9 + 1 / 36)))
-    kept, shape = max(len(parts) // 4, 1), max(shape, 0.5)
-    ranks = (np.arange(1, kept + 1) - 0.375) / (len(parts) + 0.25)  # Blom's
-    expected = float(np.mean(gammaincinv(shape, ranks))) / shape
-    return float(np.sqrt(np.mean(sorted(parts)[:kept]) / expected))
-
-
-def floor_error(samples: Sequence[int]) -> float:
-    """Standard error of the square of `white_floor` for white noise, relative to it.
-
-    The mean of the quietest quarter of parts scatters 1.5 times as much as that of all.
-    """
-    independent = sum(samples) / 4 / (1 + 2 * (4 / 9 + 1 / 36))
-    return float(1.5 / np.sqrt(max(independent, 1.0)))

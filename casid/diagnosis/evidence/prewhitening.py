@@ -18,9 +18,11 @@ from casid.diagnosis.thresholds import PREWHITENING
 from casid.errors import CasidError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import likeliest
+from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.left_by_noise import share_that_is_there
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor, white_floor
+from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
+from casid.estimation.noise_floor import white_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.unknowns import Variable
@@ -98,6 +100,9 @@ class Weighing:
         Where sensors and measured inputs leave much unexplained, misfit would pass for a
         disturbance and mask its own cause: the fit is then made under the sensors' noise alone.
         """
+        return self._with_floors(fit)._weighed(model, fit, rounds)
+
+    def _weighed(self, model: Model, fit: Fit, rounds: int) -> Weighted:
         found = self.estimated(fit)
         if self.takes_disturbances and found.full.spectra:
             best = self.likeliest(model, found)
@@ -123,6 +128,28 @@ class Weighing:
             noise_absorbs_misfit=False,
             unbiased=None if at is found else at.fit,
         )
+
+    def _with_floors(self, fit: Fit) -> Weighing:
+        """The same with the noise of inputs known by their own spectra, where these are more exact.
+
+        A slow system shows the noise of its inputs in few lines of the residual, and a fit absorbs
+        most of those. The residual may then show none of it by chance, and what the noise moved is
+        misfit. The floor of the channel itself counts where the residual shows less than that, and
+        agrees with it as far as the fit lets it show (`input_noise`).
+        """
+        c = fit.criterion
+        floors = input_noise_floor(c.data, list(c.model.inputs))
+        found = self.noise(fit)
+        less = [
+            name
+            for name, entry in c.model.inputs.items()
+            if entry.kind == "measured" and found.source_sd.get(name, 0.0) < floors[name]
+        ]
+        if all(name in found.known for name in less):
+            return self
+        at_floor = input_noise(c, fit.x, self.known_noise).at_floor
+        exact = {name: floors[name] for name in less if name in at_floor}
+        return replace(self, known_noise={**self.known_noise, **exact}) if exact else self
 
     def likeliest(self, model: Model, found: Weighted) -> Weighted:
         """The model under the disturbance that is likeliest together with its parameters.

@@ -53,7 +53,7 @@ class Score:
     energy: float  # psi' psi of the projected signature: what one unit of the parameter gives
     step: float  # first guess of the parameter
     unrobust: float  # Lagrange multiplier statistic with unit variance, chi^2(1)
-    visible: float  # share of the signature outside the baseline's tangent space
+    visible: float  # share of the signature outside the baseline's tangent space; see `_reach`
     starts: Mapping[str, float] = field(default_factory=dict)  # first guesses beside `step`
 
     @property
@@ -143,6 +143,7 @@ class _Projected:
 
     z: Array  # (K,) of (1)
     left: Array  # (K,) squares of each signature outside the tangent
+    share: Array  # (K,) the same of what the initial states of windows leave of it
     size: Array  # (K,) of each signature before it was scaled
     gram: Array  # (K, K) of the projected signatures
     covariance: Array  # (K, K) of z
@@ -155,8 +156,9 @@ class _Projected:
         """The columns of these numbers."""
         k, both = list(order), np.ix_(order, order)
         return _Projected(
-            *(self.z[k], self.left[k], self.size[k], self.gram[both], self.covariance[both]),
-            *(self.visible[k], self.finite[k], self.lags, self.n),
+            *(self.z[k], self.left[k], self.share[k], self.size[k]),
+            *(self.gram[both], self.covariance[both], self.visible[k]),
+            *(self.finite[k], self.lags, self.n),
         )
 
 
@@ -180,6 +182,7 @@ def _projected(name: str, columns: Columns, input_sd: Mapping[str, float], seed:
     rest[:, ~finite], size[~finite] = 0.0, 1.0
     rest /= size
     _require_finite(name, tangent, e)
+    reach = _reach(columns, tangent, rest)
     # Columns of T may be nearly dependent: project by an orthonormal basis.
     t_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", tangent, tangent), TINY))
     tangent /= t_size
@@ -188,12 +191,12 @@ def _projected(name: str, columns: Columns, input_sd: Mapping[str, float], seed:
     gamma = (vt[keep].T / s[keep]) @ (u[:, keep].T @ rest)
     _take_out(rest, tangent, gamma)
     left = np.einsum("ij,ij->j", rest, rest)
+    share = left / reach
     z = rest.T @ e
     # Score of the baseline itself, zero at its minimum except for the bias just corrected.
     per_sample = np.einsum("kij,ki->kj", rest.reshape(-1, ny, len(size)), e.reshape(-1, ny))
-    visible = (left > SCORES.undetectable) | (
-        (left > SCORES.hardly_detectable) & (z**2 > SCORES.much * left)
-    )
+    hardly = (share > SCORES.hardly_detectable) & (z**2 > SCORES.much * left)
+    visible = (share > SCORES.undetectable) | hardly
     lags = bartlett_lags(per_sample[:, visible]) if visible.any() else 0
     n = len(per_sample)
     covariance = long_run_covariance(per_sample, lags)
@@ -208,7 +211,26 @@ def _projected(name: str, columns: Columns, input_sd: Mapping[str, float], seed:
         z -= given.sum(axis=0)
         # One draw is as far from its mean as chance has it: that is uncertainty, too.
         covariance = covariance + long_run_covariance(given, lags)
-    return _Projected(z, left, size, rest.T @ rest, covariance, visible, finite, lags, n)
+    return _Projected(z, left, share, size, rest.T @ rest, covariance, visible, finite, lags, n)
+
+
+def _reach(columns: Columns, tangent: Array, rest: Array) -> Array:
+    """(K,) squares of signatures of unit size that the initial states of windows leave of them.
+
+    An unstable model magnifies whatever acts on it until a window ends, as it does an error of the
+    state in which that begins: nearly all of a signature is then that growth. What the parameters
+    have in common with it is their part in the rest. 1 where no record is cut.
+    """
+    wide = columns.wide
+    if all(wide.parts(e) == 1 for e in range(len(wide.data))):
+        return np.ones(rest.shape[1])
+    sources = [wide.variables[i].source in wide.model.states for i in columns.tangent]
+    begun = tangent[:, sources]
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", begun, begun), TINY))
+    u, s, _ = np.linalg.svd(begun / size, full_matrices=False)
+    taken = u[:, s > 1e-8 * s[:1]].T @ rest
+    left = 1.0 - np.einsum("ij,ij->j", taken, taken)
+    return np.asarray(np.maximum(left, SCORES.least_reach))
 
 
 def score_test(
@@ -252,7 +274,7 @@ def scores_of(
     kept = [j for j in range(len(judged)) if both.finite[j] and both.finite[judged[j]]]
     effects = [columns.effects[j] for j in kept]
     at = both.taken([judged[j] for j in kept])
-    z, left, size, visible = at.z, at.left, at.size, at.visible
+    z, left, share, size, visible = at.z, at.left, at.share, at.size, at.visible
     sd_z = np.sqrt(np.maximum(np.diag(at.covariance), TINY))
     possible = _between_samples(criterion, effects, np.abs(at.gram) * size)
     ratio, bias = (np.where(visible, a / sd_z, 0.0) for a in (z, possible))
@@ -278,7 +300,7 @@ def scores_of(
             unrobust=float(z[j] ** 2 / left[j])
             if visible[j] and not (one[j] and z[j] < 0)
             else 0.0,
-            visible=float(left[j]),
+            visible=float(share[j]),
         )
         for j, eff in enumerate(effects)
     )

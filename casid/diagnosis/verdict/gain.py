@@ -100,10 +100,21 @@ def chance_over_floor(
     """
     outputs = fit.criterion.outputs
     fitted = sum(int((~m).sum()) for m in split.held)
-    held = sum(int(m.sum()) for m in split.held) + sum(e.record.N for e in split.apart)
+    held = _samples_held_out(split)
     if not held:
         return {}
     free = [2 / np.maximum(at.full.spread(0, n) ** 2, TINY) for n in (held, fitted)]
+    of_noise = f_distribution.isf(RESIDUAL.held_out_chance, *free)
+    of_estimates = chance_by_estimates(fit, covariance, split, floor)
+    size = np.sqrt(of_noise + np.array([of_estimates[o] for o in outputs]))
+    return dict(zip(outputs, size.tolist(), strict=True))
+
+
+def chance_by_estimates(
+    fit: Fit, covariance: Array, split: Split, floor: Mapping[str, float]
+) -> dict[str, float]:
+    """The part of the square of `chance_over_floor` that is due to the errors of the estimates."""
+    outputs = fit.criterion.outputs
     moved = np.zeros(len(outputs))
     for e, mask in enumerate(split.held):
         if not mask.any() or fit.criterion.parts(e) > 1:
@@ -112,33 +123,43 @@ def chance_over_floor(
         slopes = fit.criterion.simulated(fit.x, e, signals=d).jacobian[mask]
         square = np.sum((slopes @ covariance) * slopes, axis=(0, 2))
         moved += np.nan_to_num(square, nan=0.0, posinf=0.0)
-    level = RESIDUAL.held_out_chance
     size = np.array([floor.get(o, 0.0) for o in outputs])
-    by_estimates = chi2.isf(level, 1) * moved / held / np.maximum(size**2, TINY)
-    chance = np.sqrt(f_distribution.isf(level, *free) + by_estimates)
-    return dict(zip(outputs, chance.tolist(), strict=True))
+    mean = moved / max(_samples_held_out(split), 1) / np.maximum(size**2, TINY)
+    share = chi2.isf(RESIDUAL.held_out_chance, 1) * mean
+    return dict(zip(outputs, share.tolist(), strict=True))
+
+
+def _samples_held_out(split: Split) -> int:
+    return sum(int(m.sum()) for m in split.held) + sum(e.record.N for e in split.apart)
 
 
 def unlike_held_out(
     found: Findings,
     fitted: Mapping[str, Mapping[str, float]],
     held: Mapping[str, Mapping[str, float]],
+    by_estimates: Mapping[str, float],
 ) -> str:
     """Why what was held out forbids to call the model adequate, or an empty text.
 
-    Noise of an input that rings at a resonance has few independent values: its rms may rise by
-    chance, as the root of a chi-squared variable over its degrees of freedom.
+    Noise of an input that rings at a resonance has few independent values: its mean square may rise
+    by chance, as a chi-squared variable over its degrees of freedom. The errors of the estimates go
+    on into what was held out, and add to it.
+
+    Parameters
+    ----------
+    by_estimates : what they add to the square of each output over its floor
+        (`chance_by_estimates`).
     """
-    split, noise = found.baseline.split, found.at.full
-    samples = sum(int(m.sum()) for m in split.held) + sum(e.record.N for e in split.apart)
+    samples, noise = _samples_held_out(found.baseline.split), found.at.full
     spread = noise.spread(0, samples) if samples else np.zeros(len(found.at.criterion.outputs))
     free = 2 / np.maximum(spread**2, TINY)
-    chance = np.sqrt(chi2.isf(RESIDUAL.held_out_chance, free) / free)
-    by_chance = dict(zip(found.at.criterion.outputs, chance.tolist(), strict=True))
+    mean = chi2.isf(RESIDUAL.held_out_chance, free) / free
+    by_chance = dict(zip(found.at.criterion.outputs, mean.tolist(), strict=True))
     for output, error in held.get("baseline_rmse", {}).items():
         inside = fitted["baseline_rmse"][output]
         floor = fitted["noise_floor"][output]
-        if error > max(JUDGING.unlike * max(inside, floor), by_chance[output] * floor):
+        chance = np.sqrt(by_chance[output] + by_estimates.get(output, 0.0))
+        if error > max(JUDGING.unlike * max(inside, floor), chance * floor):
             shown = found.at.criterion.model.shown_size
             unit = found.at.criterion.model.unit_of(output)
             return (
@@ -240,8 +261,9 @@ def changes(part: Part) -> bool:
 def improves(part: Part) -> bool:
     """True if including the causes lowers the squared error, outputs in units of their floor.
 
-    An output without a noise floor counts in units of its error before. True, too, where there is
-    nothing to compare.
+    An output without a noise floor counts in units of its error before. An error below its floor
+    counts as one at the floor: noise makes it larger or smaller. True, too, where there is nothing
+    to compare.
     """
     before, after = part.get("baseline_rmse", {}), part.get("extended_rmse", {})
     floor = part.get("noise_floor", {})
@@ -249,6 +271,7 @@ def improves(part: Part) -> bool:
     for output in after:
         scale = floor.get(output) or before.get(output, 0.0)
         if output in before and scale > 0 and math.isfinite(before[output] + after[output]):
-            sums[0] += (before[output] / scale) ** 2
-            sums[1] += (after[output] / scale) ** 2
+            least = floor.get(output, 0.0)
+            sums[0] += (max(before[output], least) / scale) ** 2
+            sums[1] += (max(after[output], least) / scale) ** 2
     return sums[1] <= sums[0]

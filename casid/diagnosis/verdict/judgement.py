@@ -20,6 +20,7 @@ from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
     bounds_met,
+    chance_by_estimates,
     chance_over_floor,
     errors_of,
     unlike_beside,
@@ -131,7 +132,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     causes, remainder = compared or (causes, remainder)
     causes = told_once(negated(causes), found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
-    unlike = unlike_held_out(found, fitted, held)
+    unlike = unlike_held_out(found, fitted, held, _by_estimates(found, held, baseline))
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
     doubts = _doubts(found, remainder, bounds)
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
@@ -173,6 +174,15 @@ def _extended(problem: Problem, found: Findings, baseline: Estimate) -> Estimate
     if extended.model is None:
         return extended
     return replace(extended, model=extended_model(found, extended.model, baseline.model))
+
+
+def _by_estimates(found: Findings, held: Errors, baseline: Estimate) -> Mapping[str, float]:
+    """What the errors of the estimates may add to what was held out, of the model as it is."""
+    if not held:
+        return {}
+    split, floor = found.baseline.split, held["noise_floor"]
+    of = partial(chance_by_estimates, found.base_fit, baseline.covariance, split, floor)
+    return found.search.attempts.attempt("what the estimates add to what was held out", of) or {}
 
 
 def _remaining(

@@ -247,7 +247,8 @@ def verdict_sentence(
 def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) -> str:
     """By how much including the causes lowers, or raises, the errors that it changes.
 
-    An error that rises by less than `JUDGING.practical` is the same.
+    An error that rises by less than `JUDGING.practical`, or stays below its noise floor, is the
+    same.
     """
     lowered: list[str] = []
     raised: list[str] = []
@@ -255,7 +256,8 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
         after = part.get("extended_rmse", {}).get(output, before)
         sizes = [problem.model.shown_size(output, e) for e in (before, after)]
         (old, new), unit = quantity_texts(sizes, problem.model.unit_of(output))
-        is_worse = after > (1 + JUDGING.practical) * before
+        floor = part.get("noise_floor", {}).get(output, 0.0)
+        is_worse = after > max((1 + JUDGING.practical) * before, floor)
         if new != old and (after < before or is_worse):
             changed = f"{output} from {old} to {new} {unit}".rstrip()
             (raised if is_worse else lowered).append(changed)

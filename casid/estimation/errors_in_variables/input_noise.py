@@ -24,10 +24,10 @@ from casid.estimation.noise import (
     NoiseModel,
     Seen,
     estimate_noise,
-    floor_error,
     input_noise_floor,
     with_rounding,
 )
+from casid.estimation.noise_floor import floor_error
 from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError

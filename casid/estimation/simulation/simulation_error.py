@@ -165,6 +165,7 @@ class SimulationError:
                 )
         self.spread = output_spread(self.data)
         self.weights = 1 / self.spread if weights is None else np.asarray(weights, float)
+        self._as_read = [replace(d, used=d.used.copy()) for d in self.data]
         self._burn()
         self._index: list[list[Array]] = []  # per experiment and segment: (nv,) variable or -1
         self._cuts: list[Array] = []
@@ -259,12 +260,11 @@ class SimulationError:
         return f"{state}{place}{self.unknowns.label(experiment)}"
 
     def _part_starts(self, e: int, places: Sequence[int], at: Array) -> Array:
-        """(parts, nx) where the parts of a record begin: as given, or measured, or declared.
+        """(parts, nx) where parts of a record begin: as given, measured (late ones, too), declared.
 
-        A single part begins in what the outputs determine only where the model is not finite in
-        the declared state: otherwise nothing is said of its rates.
+        A single part begins in what outputs determine only where the model is not finite otherwise.
         """
-        model, unknowns, d = self.model, self.unknowns, self.data[e]
+        model, unknowns, d = self.model, self.unknowns, self._as_read[e]
         starts = np.tile([s.nominal for s in model.states.values()], (len(at), 1))
         for j, name in enumerate(model.states):
             for i, k in enumerate(at.tolist()):

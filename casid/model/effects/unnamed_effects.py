@@ -40,7 +40,7 @@ def unnamed_effects(
     place = place_named(model, where)
     v, q = place.velocity, place.position
     v_, q_ = bracketed(place.velocity_name), bracketed(place.position_name)
-    what = f"a {quantity_of(place.unit)}"
+    what = _a_quantity(place.unit)
 
     def term(shape: str, says: str, of: Expr, v_power: int, q_power: int = 0) -> Effect:
         suffix = "".join(c for c in shape.replace("^", "") if c.isalnum() or c == "_")
@@ -111,7 +111,7 @@ def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None
         priority=1,
         cost=2 if about else 1,
         shape=place.velocity_name,
-        description=f"a {quantity_of(place.unit)} in proportion to {place.velocity_name}{beyond}, "
+        description=f"{_a_quantity(place.unit)} in proportion to {place.velocity_name}{beyond}, "
         "which the model leaves out",
     )
 
@@ -133,7 +133,7 @@ def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
         lambda k: -k * place.position,
         priority=1,
         shape=place.position_name,
-        description=f"a {quantity_of(place.unit)} in proportion to {place.position_name}, "
+        description=f"{_a_quantity(place.unit)} in proportion to {place.position_name}, "
         "which the model leaves out",
     )
 
@@ -162,7 +162,7 @@ def uptakes_of(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Itera
                 _taken(x),
                 priority=UNNAMED_EFFECTS.priority,
                 shape=name,
-                description=f"a {quantity_of(place.unit)} in proportion to {name}, which the "
+                description=f"{_a_quantity(place.unit)} in proportion to {name}, which the "
                 "model leaves out",
             )
 
@@ -184,3 +184,9 @@ def _vanishes_with(side: Expr, symbol: Expr) -> bool:
 def _symbols(expression: Any) -> set[str]:
     """The names that an expression depends on."""
     return {s.name() for s in ca.symvar(ca.SX(expression))}
+
+
+def _a_quantity(unit: str) -> str:
+    """What a quantity in `unit` is called, with its article: a force, an amount flow."""
+    word = quantity_of(unit)
+    return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"

@@ -127,3 +127,28 @@ def test_a_line_is_extrapolated_as_far_off_as_its_errors_say():
     over = np.sqrt(np.mean(left[kept:] ** 2, axis=0)) / s
     assert np.mean(over > chance) <= 1 / 300
     assert np.mean(over > JUDGING.at_floor) > 0.2
+
+
+def continued_line(seed: int, bend: float = 0.0) -> casid.Diagnosis:
+    """A line of which a quarter is fitted; its slope changes by `bend` [m/s] after that."""
+    m = casid.Model("a line")
+    m.derivative(m.state("x", "m"), m.parameter("a", "m/s"))
+    m.output("y", m.symbol("x"), "m")
+    t = np.arange(200.0)
+    y = 0.1 * t + bend * np.maximum(t - 50.0, 0.0)
+    y = y + 0.2 * np.random.default_rng(seed).standard_normal(200)
+    record = casid.Record({"y": y}, {"y": "m"}, Ts=1.0, name="line")
+    problem = casid.Problem("a line", m, starts=1)
+    return casid.diagnose(problem, record, hold_out=0.75, advise=False)
+
+
+@pytest.mark.parametrize("seed", [5, 10, 18])
+def test_what_the_errors_of_the_estimates_do_to_what_was_held_out_leaves_the_model_adequate(seed):
+    """The error there is twice the floor: the line is known from 50 samples of 200."""
+    found = continued_line(seed)
+    assert found.held_out["baseline_rmse"]["y"] > 1.5 * found.held_out["noise_floor"]["y"]
+    assert found.verdict == "adequate", found.sentence
+
+
+def test_more_than_the_errors_of_the_estimates_explain_leaves_it_undecided():
+    assert continued_line(1, bend=0.05).verdict == "undecided"

@@ -14,7 +14,7 @@ from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Doubts
-from casid.diagnosis.verdict.gain import changes
+from casid.diagnosis.verdict.gain import changes, improves
 from casid.diagnosis.verdict.sentences import (
     noise_text,
     says,
@@ -48,6 +48,18 @@ def test_where_nothing_is_named_no_named_causes_are_included():
     assert "Including the nearest effect of the catalogue raises the RMS error of gyro" in text
     text = verdict_sentence("deficient", [unknown, small().causes[0]], part, "", pendulum.problem)
     assert "Including the named causes raises the RMS error of gyro" in text
+
+
+@pytest.mark.parametrize(
+    ("after", "is_raised"), [(0.093, False), (0.12, False), (0.14, True), (0.05, False)]
+)
+def test_an_error_that_stays_below_its_noise_floor_is_not_raised(after: float, is_raised: bool):
+    """Noise of an input, integrated, leaves less than its floor to a fit and a short record."""
+    part = {"baseline_rmse": {"gyro": 0.085}, "extended_rmse": {"gyro": after}}
+    part["noise_floor"] = {"gyro": 0.126}
+    text = verdict_sentence("deficient", [small().causes[0]], part, "", pendulum.problem)
+    assert ("raises the RMS error" in text) == is_raised
+    assert improves(part) == (not is_raised)
 
 
 def test_of_many_that_may_be_the_cause_the_first_are_named():

@@ -14,7 +14,7 @@ from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.sensor_dynamics import delay_columns
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.channel_effects import saturation, time_delay
+from casid.model.effects.channel_effects import saturation, sensor_lag, time_delay
 
 TRUE = {"m": 2.0, "d": 1.5, "k": 50.0}
 TS = 0.02
@@ -473,3 +473,24 @@ def test_an_initial_state_stays_near_the_motion_where_a_late_sensor_hides_it():
     fit = fit_model(model, [casid.Experiment(record)], casid.FitSettings(starts=1), throw=False)
     assert fit.values["delay_y"] == pytest.approx(0.3, abs=0.03)
     assert abs(fit.values["x(0)"]) < 3 * np.ptp(held)
+
+
+def test_a_record_begins_in_what_a_late_sensor_shows_first_where_the_model_is_singular():
+    """A magnet pulls with C i^2 / x^2: at x = 0, the declared start, it has no derivative."""
+    m = casid.Model("levitated ball")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    i = m.input("i", "A", hold="zoh", known=True)
+    C = m.parameter("C", "N m^2/A^2", value=8e-5)
+    weight = m.constant("weight", 1.2, "N")
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=m.constant("m", 0.12, "kg"), terms=[weight, -C * i**2 / x**2])
+    m.output("gap", x, "m")
+    N, gap = 60, 0.01
+    columns = {"i": np.full(N, gap * np.sqrt(1.2 / 8e-5)), "gap": np.full(N, gap)}
+    record = casid.Record(columns, {"i": "A", "gap": "m"}, Ts=1e-3, name="rest")
+    slow = m.extend(sensor_lag(m, "gap", longest=0.015)).with_known(lag_gap=1e-3)
+    criterion = SimulationError(slow, [casid.Experiment(record, {}, "rest")])
+    assert not criterion.data[0].used[:5].any()  # they count for nothing in the fit
+    assert criterion.start[criterion.names.index("x(0)")] == pytest.approx(gap)
+    y, *_ = criterion.simulate(criterion.start, 0)
+    assert y[-1, 0] == pytest.approx(gap, rel=1e-6)

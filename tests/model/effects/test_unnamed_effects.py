@@ -14,7 +14,7 @@ from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import KINDS, Effect
 from casid.model.effects.flow_laws import power_law
-from casid.model.effects.unnamed_effects import unnamed_effects
+from casid.model.effects.unnamed_effects import linear_loss, unnamed_effects
 from problems import pendulum
 from tests.model.effects.test_flow_laws import LEVEL, tanks
 
@@ -73,3 +73,18 @@ def test_no_two_effects_of_the_pendulums_torque_have_one_signature():
     assert min(s.visible for s in table.scores) > 1e-4
     c = np.abs(table.cosines - np.eye(len(every)))
     assert np.max(c) < 0.99
+
+
+@pytest.mark.parametrize(
+    ("unit", "inertia", "words"),
+    [("mol/m^3", "m^3", "an amount flow in"), ("K", "J/K", "a heat flow in")],
+)
+def test_a_loss_has_the_article_of_its_quantity(unit: str, inertia: str, words: str):
+    m = casid.Model("store")
+    x = m.state("x", unit)
+    flow = m.input("flow", "mol/s" if unit == "mol/m^3" else "W")
+    m.balance(x, "content", inertia=m.constant("V", 1.0, inertia), terms=[flow])
+    m.output("y", x, unit)
+    loss = linear_loss(m, "content", 0.0)
+    assert loss is not None
+    assert loss.description.startswith(words)
