@@ -236,12 +236,6 @@ class Prewhitening:
         "units of log-likelihood by which a further round under a disturbance has to gain",
         f"{TESTS}/search/test_disturbances.py",
     )
-    enough: float = _is(
-        1e-5,
-        "of the criterion of a candidate, less than which a step would lower it: the refit ends "
-        "there. At 20 000 samples of noise alone a tenth of a unit of the log-likelihood",
-        f"{TESTS}/search/test_joint_refit.py",
-    )
     near_bound: float = _is(
         1e-6,
         "of a parameter, or of its scale: so near its bound it is held there",
@@ -543,6 +537,12 @@ class Comparison:
 class Refits:
     """Where refits of an effect start, and how far its parameter may go."""
 
+    enough: float = _is(
+        1e-5,
+        "of the criterion of a candidate, less than which a step would lower it: the refit ends "
+        "there. At 20 000 samples of noise alone a tenth of a unit of the log-likelihood",
+        f"{TESTS}/search/test_joint_refit.py",
+    )
     factors: tuple[float, ...] = _is(
         (0.5, 1.0, 2.0, 4.0), "times the linearised delay or lag to start from", POWER_STUDY
     )

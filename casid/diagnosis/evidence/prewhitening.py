@@ -14,7 +14,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.score_tests import step_without_bias
-from casid.diagnosis.thresholds import PREWHITENING
+from casid.diagnosis.thresholds import PREWHITENING, REFITS
 from casid.errors import CasidError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import likeliest
@@ -34,7 +34,7 @@ NEAR = Solver(
 )
 """For fits that start next to their minimum: a large barrier would only lead away from it."""
 
-COMPARED = replace(NEAR, enough=PREWHITENING.enough)
+COMPARED = replace(NEAR, enough=REFITS.enough)
 """The same for candidates that are compared: what a further step would gain decides nothing."""
 
 EXACT = Solver(

@@ -16,7 +16,7 @@ from scipy.linalg import expm
 import casid
 from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted
 from casid.diagnosis.search.joint_refit import Refitting
-from casid.diagnosis.thresholds import PREWHITENING
+from casid.diagnosis.thresholds import REFITS
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.structure_effects import actuator_lag
 
@@ -130,5 +130,5 @@ def test_candidates_are_refitted_to_where_nothing_is_left_to_decide() -> None:
         found = refitting.refit(at, actuator_lag(at.model, "F", longest=3.0), 0.3)
         assert found is not None
         gains.append(found.gain)
-    room = 2 * 2 * PREWHITENING.enough * at.fit.solution.value
+    room = 2 * 2 * REFITS.enough * at.fit.solution.value
     assert gains[1] == pytest.approx(gains[0], abs=room)

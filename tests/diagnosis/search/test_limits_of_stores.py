@@ -10,7 +10,6 @@ from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.refinement import Adoption, Refinement, whole_fit
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.structure_effects import missing_store
@@ -58,8 +57,7 @@ def test_a_store_whose_time_constant_ends_at_its_bound_gives_way_to_a_leak(leak,
     assert at.noise_absorbs_misfit
     assert None not in (store, lost)
     search.first_candidates = [store, lost]
-    errors = simulation_errors(fit, split, units)
-    of = Refinement(search, split, ONCE, units, at, errors)
+    of = Refinement(search, split, ONCE, units, at, fit)
     whole = whole_fit(store.model, split, ONCE, units, store.fit.values)
     assert ("tau_m" in whole.solution.at_upper) is (leak > 0)
     extended = weighing.weigh(store.model, whole, rounds=1)
