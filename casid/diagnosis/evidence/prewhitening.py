@@ -100,10 +100,13 @@ class Weighing:
         Where sensors and measured inputs leave much unexplained, misfit would pass for a
         disturbance and mask its own cause: the fit is then made under the sensors' noise alone.
         """
-        return self._with_floors(fit)._weighed(model, fit, rounds)
-
-    def _weighed(self, model: Model, fit: Fit, rounds: int) -> Weighted:
         found = self.estimated(fit)
+        exact = self._with_floors(found)
+        return exact._weighed(model, found if exact is self else exact.estimated(fit), rounds)
+
+    def _weighed(self, model: Model, found: Weighted, rounds: int) -> Weighted:
+        """A model under the noise that was estimated at a fit."""
+        fit = found.fit
         if self.takes_disturbances and found.full.spectra:
             best = self.likeliest(model, found)
             fit = self.minimum(self.criterion(model, best.noise, best.fit.values, best.criterion))
@@ -129,7 +132,7 @@ class Weighing:
             unbiased=None if at is found else at.fit,
         )
 
-    def _with_floors(self, fit: Fit) -> Weighing:
+    def _with_floors(self, found: Weighted) -> Weighing:
         """The same with the noise of inputs known by their own spectra, where these are more exact.
 
         A slow system shows the noise of its inputs in few lines of the residual, and a fit absorbs
@@ -137,17 +140,16 @@ class Weighing:
         misfit. The floor of the channel itself counts where the residual shows less than that, and
         agrees with it as far as the fit lets it show (`input_noise`).
         """
-        c = fit.criterion
+        c, noise = found.criterion, found.full
         floors = input_noise_floor(c.data, list(c.model.inputs))
-        found = self.noise(fit)
         less = [
             name
             for name, entry in c.model.inputs.items()
-            if entry.kind == "measured" and found.source_sd.get(name, 0.0) < floors[name]
+            if entry.kind == "measured" and noise.source_sd.get(name, 0.0) < floors[name]
         ]
-        if all(name in found.known for name in less):
+        if all(name in noise.known for name in less):
             return self
-        at_floor = input_noise(c, fit.x, self.known_noise).at_floor
+        at_floor = input_noise(c, found.fit.x, self.known_noise).at_floor
         exact = {name: floors[name] for name in less if name in at_floor}
         return replace(self, known_noise={**self.known_noise, **exact}) if exact else self
 

@@ -103,7 +103,7 @@ def no_cause(d: Diagnosis) -> str:
 _MOST = 10  # candidates of which more unfold
 
 
-_FATES = ("named", "cannot be rejected", "rejected", "invisible")  # of significant candidates
+_FATES = ("named", "cannot be rejected", "rejected", "invisible")  # of what is listed at once
 
 
 def ranking_parts(d: Diagnosis) -> list[Part]:
