@@ -407,7 +407,6 @@ def test_an_interrupt_that_a_solver_swallows_ends_the_campaign_all_the_same(tmp_
 # ---------------------------------------------------------------------- workers that die
 
 
-@pytest.mark.slow
 def test_a_worker_that_dies_once_costs_nothing(tmp_path: Path) -> None:
     (tmp_path / "deaths").mkdir()
     run = Deadly(str(tmp_path / "deaths"), run=9, times=1)
@@ -417,7 +416,6 @@ def test_a_worker_that_dies_once_costs_nothing(tmp_path: Path) -> None:
     assert same(result, campaign(noisy, 20))
 
 
-@pytest.mark.slow
 def test_a_run_that_always_kills_its_worker_is_found_and_the_others_are_done(
     tmp_path: Path,
 ) -> None:
@@ -431,7 +429,6 @@ def test_a_run_that_always_kills_its_worker_is_found_and_the_others_are_done(
     assert result.table["x"].drop(index=9).equals(expected["x"].drop(index=9))
 
 
-@pytest.mark.slow
 def test_the_same_call_runs_on_a_dask_cluster_and_survives_a_killed_worker(tmp_path: Path) -> None:
     """Dask gives the dead worker's tasks to another; the seeds are the runs', not the workers'."""
     distributed = pytest.importorskip("distributed")
@@ -463,7 +460,6 @@ class Leaving:
         return noisy(seed)
 
 
-@pytest.mark.slow
 def test_a_cluster_that_loses_its_last_worker_ends_the_campaign_resumably(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

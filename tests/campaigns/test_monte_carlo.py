@@ -216,6 +216,7 @@ def test_processes_load_the_problem_and_find_the_same(tank: Problem, tmp_path: P
     assert manifest["settings"]["duration"] == 9.0
 
 
+@pytest.mark.slow
 def test_a_problem_that_processes_cannot_have_is_refused_with_the_mend(tank: Problem) -> None:
     changed = replace(tank, truth={"a": 0.9})
     assert montecarlo(without_file(tank), runs=1)["a"].n == 1

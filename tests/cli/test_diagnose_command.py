@@ -59,6 +59,7 @@ def answer(*arguments: str) -> dict[str, Any]:
     return json.loads(result.stdout)  # and nothing else stands there
 
 
+@pytest.mark.slow
 def test_several_records_are_diagnosed_jointly_and_several_held_out_each_with_its_load_case() -> (
     None
 ):
@@ -73,6 +74,7 @@ def test_several_records_are_diagnosed_jointly_and_several_held_out_each_with_it
     assert Path("reports/pendulum-1/diagnosis.json").exists()
 
 
+@pytest.mark.slow
 def test_kinds_are_left_out_of_the_catalogue() -> None:
     d = answer("nominal.csv", "--without", "quadratic_damping", "--without", "parameter_jump")
     kinds = {row["kind"] for row in d["ranking"]}

@@ -41,6 +41,7 @@ def run(*arguments: str) -> int:
     return int(ended.value.code or 0)
 
 
+@pytest.mark.slow
 def test_a_tie_is_broken_in_two_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem = tmp_path / "store.py"
     problem.write_text(PROBLEM)

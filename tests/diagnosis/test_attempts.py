@@ -61,6 +61,7 @@ def test_faults_and_interrupts_are_not_taken_for_numbers(fault):
         Attempts().attempt("drag", fail)
 
 
+@pytest.mark.slow
 def test_candidates_that_break_down_leave_the_one_that_does_not_to_be_named(monkeypatch):
     """All refits but that of the drag fail: it is named, and notes say what failed."""
     record = roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
@@ -84,6 +85,7 @@ def test_candidates_that_break_down_leave_the_one_that_does_not_to_be_named(monk
         assert "was left out: its numbers break down (SVD did not converge)" in failed[0]
 
 
+@pytest.mark.slow
 def test_an_effect_that_the_model_has_no_solution_with_leaves_the_others_to_be_tested(monkeypatch):
     record = roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
 
@@ -118,6 +120,7 @@ def of_a_logarithm(model, names):
     model.add_term("torque", model.symbol(names[0]) * ca.log(model.symbol("phi") - 10.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "reason"),
     [

@@ -18,8 +18,6 @@ from tests.support.shared import shared
 
 NAMED = [("case_012", "scheduled_parameter")]
 
-pytestmark = pytest.mark.slow
-
 
 def diagnosed(case: str) -> tuple[dict, casid.Diagnosis]:
     folder = shared("cases/pendulum")
@@ -33,6 +31,7 @@ def test_every_kind_named_here_is_in_the_study():
     assert {kind for _, kind in NAMED} <= STUDIED <= KINDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "kind"), NAMED)
 def test_the_listed_effect_is_the_first_cause_with_at_most_one_further(case, kind):
     listed, d = diagnosed(case)

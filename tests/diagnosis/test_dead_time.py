@@ -76,6 +76,7 @@ def diagnosed(kind: str, delay: float, *, known: bool, outputs=OUTPUTS) -> casid
     return casid.diagnose(problem(kind, known=known, outputs=outputs), used, advise=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "samples"), [("zoh", 0.4), ("foh", 2.37), ("foh", 30.7), ("zoh", 60.7)]
 )
@@ -92,6 +93,7 @@ def test_a_late_command_is_one_cause_of_what_both_sensors_show(kind: str, sample
     assert "acting force = [new: force(t - dead_time_force)]" in str(d.model.equations())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "name"), [(0.053, "dead_time_force"), (-0.053, "delay_force")])
 def test_a_measured_input_acts_late_or_is_recorded_late(delay: float, name: str) -> None:
     d = diagnosed("foh", delay, known=False)
@@ -104,6 +106,7 @@ def test_a_measured_input_acts_late_or_is_recorded_late(delay: float, name: str)
     assert said in cause.sentence
 
 
+@pytest.mark.slow
 def test_of_one_output_a_late_command_and_a_late_sensor_are_the_same() -> None:
     """Only the time between the two is in the data."""
     d = diagnosed("zoh", 2.37 * TS, known=True, outputs=("position",))
@@ -112,6 +115,7 @@ def test_of_one_output_a_late_command_and_a_late_sensor_are_the_same() -> None:
     assert cause.parameters[0].value == pytest.approx(2.37 * TS, abs=0.02 * TS)
 
 
+@pytest.mark.slow
 def test_an_advance_of_an_input_that_may_act_late_is_no_further_alternative() -> None:
     for delay in (0.053, -0.053):
         d = diagnosed("foh", delay, known=False, outputs=("position",))

@@ -90,7 +90,6 @@ HIDDEN = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "strength", "seed", "where"),
     HIDDEN,
@@ -148,7 +147,6 @@ def test_a_delay_is_not_taken_for_the_reference_that_drives_the_cart(seed):
     assert (d.causes[0].kind, d.causes[0].where) == ("time_delay", "gyro")
 
 
-@pytest.mark.slow
 def test_clipping_is_found_at_its_level():
     hidden, d = on_the_pendulum("saturation", 1.2, 301)
     p = d.causes[0].parameters[0]
@@ -156,7 +154,6 @@ def test_clipping_is_found_at_its_level():
     assert p.value == pytest.approx(hidden.truth["level"], abs=hidden.noise)
 
 
-@pytest.mark.slow
 def test_outliers_are_counted():
     _, d = on_the_pendulum("outliers", 1.2, 108)
     share = {p.name: p.value for p in d.causes[0].parameters}["share"]
@@ -234,7 +231,6 @@ def test_two_effects_at_once_are_both_named():
 # -- silence --------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_records_without_a_hidden_effect_raise_few_alarms():
     """At most one of four: P(more | 5 %) = 1.4 %; 60 are in `analysis/null_records/study.py`."""
     alarms = 0
@@ -286,7 +282,6 @@ def test_a_record_too_short_for_its_unknowns_does_not_fail_in_the_solver():
 # -- properties -----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_the_json_has_its_fixed_fields():
     _, d = on_the_pendulum("quadratic_damping", 1.2, 100)
     out = json.loads(json.dumps(d.to_json()))
@@ -312,7 +307,6 @@ def test_the_same_record_and_seed_give_the_same_answer():
     assert json.dumps(again.to_json()) == json.dumps(d.to_json())
 
 
-@pytest.mark.slow
 def test_the_extended_model_can_be_used_where_the_model_was():
     """An effect of the user's own is in the model by `extend`, and the cause is gone."""
     import casadi as ca
@@ -338,7 +332,6 @@ def test_the_extended_model_can_be_used_where_the_model_was():
     assert c.value == pytest.approx(size, abs=4 * c.std_error + 0.1 * size)
 
 
-@pytest.mark.slow
 def test_a_user_sees_verdict_cause_and_gain_in_the_text():
     _, d = on_the_pendulum("quadratic_damping", 1.2, 100)
     text = str(d)

@@ -63,6 +63,7 @@ def of_a_load_that_sets_in() -> casid.Diagnosis:
     return casid.diagnose(slide(), record(load=0.2 * (T >= 21.0)), advise=False)
 
 
+@pytest.mark.slow
 def test_a_load_that_sets_in_is_a_constant_term_from_an_instant_on():
     cause = only(of_a_load_that_sets_in())
     size, time = cause.parameters
@@ -72,6 +73,7 @@ def test_a_load_that_sets_in_is_a_constant_term_from_an_instant_on():
     assert "sets in during the record" in cause.sentence
 
 
+@pytest.mark.slow
 def test_a_sensor_that_was_knocked_is_biased_from_an_instant_on():
     cause = only(casid.diagnose(slide(), record(reading=2e-3 * (T >= 17.0)), advise=False))
     size, time = cause.parameters
@@ -80,6 +82,7 @@ def test_a_sensor_that_was_knocked_is_biased_from_an_instant_on():
     assert time.value == pytest.approx(17.0, abs=2 * TS)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_drifts_is_biased_ever_more():
     """It grows to its size over the fitted 70 % of the record."""
     found = casid.diagnose(slide(), record(reading=4e-3 * T / T[-1]), advise=False)
@@ -91,6 +94,7 @@ def test_a_sensor_that_drifts_is_biased_ever_more():
     assert "drifts" in cause.sentence
 
 
+@pytest.mark.slow
 def test_a_constant_load_stays_what_acts_all_the_time():
     cause = only(casid.diagnose(slide(), record(load=0.2), advise=False))
     kinds = {(cause.kind, cause.where)} | {(a.kind, a.where) for a in cause.alternatives}

@@ -45,6 +45,7 @@ def _not_called(_: casid.DesignedExperiment) -> casid.Record:
     raise AssertionError("two records decide")
 
 
+@pytest.mark.slow
 def test_a_tie_is_broken_by_the_record_that_was_designed_for_it(tmp_path: Path) -> None:
     """Without a bench it ends at the experiment to take; with its record it names the truth."""
     first = casid.investigate(store(), [weak()], {"u": (-3, 3)}, 12.0, **SMALL)
@@ -83,6 +84,7 @@ def test_a_model_that_is_right_needs_no_experiment() -> None:
     assert found.diagnosis.verdict == "adequate"
 
 
+@pytest.mark.slow
 def test_a_bench_is_called_for_as_many_records_as_it_may_take() -> None:
     """It answers with the weak record again, from which nobody is the wiser."""
     calls: list[casid.DesignedExperiment] = []

@@ -69,6 +69,7 @@ def beam() -> casid.Problem:
     return casid.Problem("beam", m)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("into_pitch", "into_yaw"), [(0.06, 0.0), (0.0, 0.06)])
 def test_an_input_that_acts_in_a_second_balance_is_a_further_input_there(
     into_pitch: float, into_yaw: float
@@ -133,6 +134,7 @@ def filled(*, leak: float = 0.0, falls: float = 0.0) -> casid.Record:
     )
 
 
+@pytest.mark.slow
 def test_a_leak_is_a_loss_beside_a_valve_that_an_input_opens() -> None:
     found = casid.diagnose(receiver(), filled(leak=8e-10), advise=False)
     only_cause(found, "unknown", "mass", 8e-10)
@@ -142,6 +144,7 @@ def test_a_leak_is_a_loss_beside_a_valve_that_an_input_opens() -> None:
     assert rest.value == pytest.approx(OUTSIDE, abs=4 * rest.std_error)
 
 
+@pytest.mark.slow
 def test_the_flow_of_a_compressor_falls_with_the_pressure() -> None:
     """w_c + s (p - mean): s is 8 % of the flow at 3 bar for every bar."""
     found = casid.diagnose(receiver(), filled(falls=0.08), advise=False)
@@ -151,6 +154,7 @@ def test_the_flow_of_a_compressor_falls_with_the_pressure() -> None:
 # -- two stirred sides of a heat exchanger --------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_pump_that_gives_more_than_it_is_told_has_a_gain_error() -> None:
     """The record is the flow over 1 + s, 1 + s = 1 / 1.1."""
     rc, V_h, V_c, UA, N = 4.18e6, 2e-3, 3e-3, 320.0, 1000
@@ -207,6 +211,7 @@ def chemostat() -> casid.Problem:
     return casid.Problem("chemostat", m, starts=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "maintenance", "death"), [("sugar", 0.03, 0.0), ("biomass", 0.0, 0.01)]
 )

@@ -56,6 +56,7 @@ def test_of_an_output_that_stands_still_no_noise_and_no_error_is_claimed(signals
     assert "noise floor" not in str(d)
 
 
+@pytest.mark.slow
 def test_an_output_in_another_unit_is_advised_to_be_checked(signals):
     force, x = signals
     d = diagnosed(force, 1000 * x)
@@ -64,6 +65,7 @@ def test_an_output_in_another_unit_is_advised_to_be_checked(signals):
     assert any("next to nothing of x" in note for note in d.notes)
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_is_among_what_explains_and_not_among_what_is_undetectable(signals):
     force, x = signals
     d = diagnosed(force, -x)
@@ -75,6 +77,7 @@ def test_a_wrong_sign_is_among_what_explains_and_not_among_what_is_undetectable(
     assert ("sensor_scale", "x") not in {(u.kind, u.where) for u in d.undetectable}
 
 
+@pytest.mark.slow
 def test_an_offset_that_no_experiment_separates_is_not_said_to_be_separable(signals):
     """A constant force and a bias of the position are the same to a linear spring."""
     force, x = signals

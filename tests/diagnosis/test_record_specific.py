@@ -51,6 +51,7 @@ def diagnosed(*drags: float) -> casid.Diagnosis:
     return casid.diagnose(mass_on_a_spring(), records, max_causes=1, advise=False)
 
 
+@pytest.mark.slow
 def test_one_size_that_explains_all_records_is_said_once():
     d = diagnosed(1.0, 1.0)
     (cause,) = d.causes
@@ -60,6 +61,7 @@ def test_one_size_that_explains_all_records_is_said_once():
     assert size.value == pytest.approx(1.0, abs=3 * size.std_error)
 
 
+@pytest.mark.slow
 def test_sizes_that_differ_are_said_for_each_record():
     d = diagnosed(1.0, 2.0)
     (cause,) = d.causes

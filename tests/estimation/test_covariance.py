@@ -127,7 +127,6 @@ def _first_order() -> casid.Model:
     return m
 
 
-@pytest.mark.slow
 def test_standard_errors_cover_repeated_experiments_with_coloured_noise():
     """The sandwich holds for autocorrelated residuals (Newey and West 1987); white errors do not.
 

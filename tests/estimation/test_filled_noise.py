@@ -45,6 +45,7 @@ def test_the_spectrum_of_joined_noise_is_its_mean_periodogram(hold: Hold, kind: 
     assert total / draws == pytest.approx(spectrum, rel=5 / np.sqrt(draws) + 0.03, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one in five", "gaps of up to two"])
 def test_the_bias_of_noise_is_removed_of_an_input_with_another_clock(kind: str) -> None:
     """24 records: the noise of the samples there are, joined by lines, is part of the residual."""

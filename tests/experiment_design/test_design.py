@@ -156,6 +156,7 @@ def test_the_energy_predicted_is_what_a_fit_of_the_rival_leaves(
     assert o.power >= norm.cdf(np.sqrt(o.energy) / 2)
 
 
+@pytest.mark.slow
 def test_the_power_predicted_is_the_share_of_right_names_in_simulated_records() -> None:
     """Within four binomial standard errors, for causes that noise often hides."""
     runs = 40

@@ -61,6 +61,7 @@ def contents(out: Path, ignored: tuple[str, ...] = ("new",)) -> list[object]:
     return [*found, {k: v for k, v in content.items() if k not in ignored}]
 
 
+@pytest.mark.slow
 def test_a_lasting_cause_is_one_finding_with_its_onset(done: casid.Fleet) -> None:
     assert done.assets == ("heater0", "heater1")
     assert set(done.records["stage"]) <= {"screened", "searched"}
@@ -156,6 +157,7 @@ def test_records_that_arrive_are_added_without_doing_the_old_again(
     assert len(finding.records) == 2
 
 
+@pytest.mark.slow
 def test_records_that_cannot_be_done_are_rows_and_no_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -178,6 +180,7 @@ def test_records_that_cannot_be_done_are_rows_and_no_end(
     assert found.records["p"].tolist() == [1.0] * 5
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told_and_nothing_is_lost(
     done: casid.Fleet, heaters: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -255,6 +258,7 @@ def test_records_that_decide_nothing_are_listed_with_the_reason(tmp_path: Path) 
     assert json.loads((tmp_path / "out" / "fleet.json").read_text())["undecided"] == 2
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_ignored_is_no_candidate(tmp_path: Path) -> None:
     write_problem(tmp_path)
     rng = np.random.default_rng(3)

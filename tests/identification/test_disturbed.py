@@ -92,6 +92,7 @@ def estimate(seed):
     return identify(mass(), record(seed), disturbances="force:peak", intervals="quick")
 
 
+@pytest.mark.slow
 def test_parameters_size_and_peak_are_found_within_their_errors_over_seeds():
     """Normalised errors: their squares add to chi squared, here of 6 seeds for each parameter."""
     seeds = range(6)
@@ -330,7 +331,6 @@ def test_predictions_use_what_was_measured_until_so_many_samples_before():
     assert other == pytest.approx(errors[0], rel=0.15)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("linear", [True, False])
 def test_what_is_held_out_is_predicted_one_sample_ahead(linear):
     """As well as what was fitted, of the same record and of another one."""

@@ -128,6 +128,7 @@ def test_the_comparison_of_errors_has_its_level() -> None:
     assert abs(np.mean(hits) - 0.05) < 3.5 * np.sqrt(0.05 * 0.95 / 400)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_names_the_sign_first_and_goes_on_with_it_mended(tmp_path: Path) -> None:
     """Drag under a turned accelerometer: both are found, and the gain is measured held out."""
     record = pendulum.simulate(duration=15.0, d_2=0.4)
@@ -210,6 +211,7 @@ def spin_up(kick: float = 2.0) -> tuple[casid.Problem, casid.Experiment]:
     return casid.Problem("motor", m), casid.Experiment(record, {}, "spin")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", [late_heater, spin_up])
 def test_no_sign_is_wrong_against_the_fit_that_is_reported(made) -> None:
     problem, record = made()

@@ -169,6 +169,7 @@ def test_the_law_of_the_outflow_is_named_and_not_its_tangent_and_the_overflow_be
     assert not {"offset", "sensor_bias", "sensor_scale"} & {c.kind for c in found.causes}
 
 
+@pytest.mark.slow
 def test_a_law_that_one_cause_can_have_is_named_and_no_disturbance(measured):
     """Its disturbance, of which the clipped samples say little, is less likely than white noise."""
     found = casid.diagnose(

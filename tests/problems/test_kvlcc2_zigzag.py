@@ -169,6 +169,7 @@ def test_without_inputs_the_diagnosis_says_that_they_are_missing(measured):
     assert found.causes[0].where in {"v", "a_y", "r", "rdot"}
 
 
+@pytest.mark.slow
 def test_the_quick_study_meets_its_targets(tmp_path, capsys):
     shared(FILES)
     assert study.STUDY.main(["--quick", "--out", str(tmp_path)]) == 0

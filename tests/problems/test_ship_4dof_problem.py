@@ -160,6 +160,7 @@ def test_the_example_is_the_same_every_time_and_has_every_channel():
     assert np.any(other[0].record["gyro"] != first[0].record["gyro"])
 
 
+@pytest.mark.slow
 def test_the_example_leads_from_the_starts_to_the_truth():
     """All sixteen together: e' P^-1 e is chi-square of 16, over 39.3 once in a thousand.
 

@@ -368,7 +368,6 @@ def test_the_numbers_of_the_release_fill_the_page() -> None:
         assert page_of(numbers, what) != NONE
 
 
-@pytest.mark.slow
 def test_a_peer_names_a_force_that_it_has_a_column_for() -> None:
     """An extra input of lambda above 10 000 is found by the t-test of the equation error.
 

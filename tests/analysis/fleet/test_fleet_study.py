@@ -84,6 +84,7 @@ def in_a_sea(folder: Path, rms: float, number: int, **cause: object) -> Path:
     return folder / written.name
 
 
+@pytest.mark.slow
 def test_a_sea_is_no_cause(problem: casid.Problem, tmp_path: Path) -> None:
     """Of 3 at a level of 5 % one is as many as 14 % of all such tests would see, two 0.7 %."""
     alarms = 0

@@ -148,6 +148,7 @@ def test_prefilters_and_their_changes_are_kept_by_iteration():
     assert "not settled" in str(c)
 
 
+@pytest.mark.slow
 def test_the_nine_are_refused_with_their_family(three, monkeypatch):
     # The closed form is a matter of seconds; on a slow machine it is still what is tested here.
     monkeypatch.setattr(requirement, "FAMILIES_LIMIT", 120.0)
@@ -180,6 +181,7 @@ def test_a_rudder_that_does_not_move_the_ship_sideways_tells_too_little():
 # -- along the family ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_along_the_family_only_zbar_m_stays(found, family):
     """8.3: m moves by m [1/(zbar_c + z_f) - 1/(zbar_m + z_f)] a metre of z_f, zbar_m not at all."""
     moved = along(found.estimate, family)

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 
 import numpy as np
+import pytest
 from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import binom
@@ -75,6 +76,7 @@ def scored(seed: int, late: int = 0, seconds: float = 28.0) -> tuple[Weighted, S
     return at, Search(weighing, {}).table(at, [])
 
 
+@pytest.mark.slow
 def test_alarms_on_records_without_an_effect_are_no_more_than_stated():
     """A count beyond the 99.5 % quantile of the binomial at the stated rate would be a bias."""
     smallest = [scored(seed)[1].smallest for seed in range(RECORDS)]

@@ -217,6 +217,7 @@ def test_a_second_optimiser_ends_elsewhere_on_the_family(nine, ends):
 # -- what is printed and drawn ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_numbers_of_the_chapter_and_the_refusal_of_the_nine_are_met(capsys):
     targets = [*study.known_numbers(), *study.ranks(), *study.curvature()]
     assert [t.what for t in targets if not t.is_met] == []

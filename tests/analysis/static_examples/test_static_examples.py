@@ -17,6 +17,7 @@ from casid.unknown_inputs.limits.regression_limit import regression_limit
 from problems.static_input import VALUES, problem, signals, simulate
 
 
+@pytest.mark.slow
 def test_every_number_of_the_study_meets_its_closed_form(tmp_path: Path) -> None:
     assert STUDY.main(["--quick", "--runs", "400", "--out", str(tmp_path)]) == 0
     targets = json.loads((tmp_path / "targets.json").read_text())

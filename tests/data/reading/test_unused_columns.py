@@ -100,6 +100,7 @@ def test_unused_columns_stay_with_the_experiment_through_preparation_and_picklin
     assert "Wind_vorn" in again.record.decimate(2)
 
 
+@pytest.mark.slow
 def test_the_sun_that_the_model_omits_is_named_first_with_its_size():
     """Truth: an area of 1.2 m^2; balance unit W over the column's W/m^2. Half of the record."""
     source = shared("cases/strangers/room_winter.csv")

@@ -53,6 +53,7 @@ def record(sd: float, seed: int, N: int = 2400) -> casid.Record:
     return casid.Record({"y": y, "F": F}, {"y": "m", "F": "N"}, Ts=Ts, name="shaken")
 
 
+@pytest.mark.slow
 def test_a_random_force_is_a_disturbance_of_its_size_and_no_deficiency():
     """The model is the truth; the force is white from sample to sample (independent simulator)."""
     problem = casid.Problem("oscillator", oscillator(), channels={"y": "y:m", "F": "F:N"})
@@ -89,6 +90,7 @@ def fitted(sd: float, seed: int) -> Weighted:
     return Weighing(data).estimated(fit)
 
 
+@pytest.mark.slow
 def test_noise_of_a_sensor_seems_to_be_a_force_as_often_as_the_level_says():
     """Half of the ratios are zero, p = 1; what the others have is chi-square of one degree."""
     draws, level = 60, 0.1

@@ -65,6 +65,7 @@ def left_out(notes: list[str]) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_a_user_effect_that_runs_away_is_left_out_and_noted(problem_file):
     problem = load_problem(str(problem_file))
     d = diagnose(problem, ringing(), starts=1, max_causes=1, without=NOT_AT_ISSUE, advise=False)
@@ -73,6 +74,7 @@ def test_a_user_effect_that_runs_away_is_left_out_and_noted(problem_file):
     assert all(c.kind != "fed" for c in d.causes)
 
 
+@pytest.mark.slow
 def test_the_command_says_so_and_ends_well(problem_file, tmp_path):
     record = ringing()
     rows = np.column_stack([record.t, record["position"]])

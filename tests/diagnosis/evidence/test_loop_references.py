@@ -74,6 +74,7 @@ def test_without_a_loop_no_channel_is_a_reference():
     assert loop_references([casid.Experiment(open_, {}, "open")], cart(), ("x_ref",)) == ()
 
 
+@pytest.mark.slow
 def test_a_recorded_reference_is_no_candidate_and_the_friction_is_named():
     problem = casid.Problem("cart", cart(), recorded={"x_ref": "m"})
     data = casid.Experiment(rail(), {}, "rail")

@@ -39,6 +39,7 @@ def damping_and_stiffness(m: casid.Model) -> list[Effect]:
     return [stiffness, quadratic_damping(m, "force")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gaps", ["a fifth", "two of three"])
 def test_records_of_the_model_itself_raise_no_more_alarms_than_stated(gaps: str) -> None:
     """Scores family-wise and residual tests at 5 %: within the 99.5 % quantile of the binomial."""
@@ -60,6 +61,7 @@ def test_records_of_the_model_itself_raise_no_more_alarms_than_stated(gaps: str)
     assert residuals <= most
 
 
+@pytest.mark.slow
 def test_a_force_that_the_model_lacks_is_found_all_the_same() -> None:
     """10 N/m^3 of a cubic spring, with a fifth of the positions missing."""
     problem = casid.Problem("mass", model(), starts=1)

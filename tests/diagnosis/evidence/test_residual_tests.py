@@ -29,6 +29,7 @@ def told(kind: str, seed: int, disturbance: float = 0.0) -> ResidualTests:
     return residual_tests(at, made, seed=seed)
 
 
+@pytest.mark.slow
 def test_noise_alone_is_noise_at_the_stated_rate():
     """Beyond the 99.5 % quantile of the binomial at 5 % the rate would not hold."""
     alarms = sum(told("none", seed).verdict != NOISE for seed in range(20, 32))

@@ -122,6 +122,7 @@ def test_a_record_without_a_line_gives_no_candidate():
     assert peaks_of(at.fit, alpha=0.01) == []
 
 
+@pytest.mark.slow
 def test_a_flow_to_and_fro_between_two_stores_is_one_disturbance_and_not_two():
     """Exactly, by the step of the linear system: what the one store gains the other loses."""
     Ts, N, C1, C2, G, H = 60.0, 1500, 3e4, 9e4, 40.0, 25.0

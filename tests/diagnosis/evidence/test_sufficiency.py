@@ -95,6 +95,7 @@ def test_excitation_in_the_held_out_part_alone_is_said_to_lie_there(name):
     assert "--hold-out 0" in d.sentence
 
 
+@pytest.mark.slow
 def test_an_input_that_stands_still_is_named():
     d = casid.diagnose(*spoilt("emps", "constant inputs"), starts=1, max_causes=1, advise=False)
     assert d.verdict == "undecided"

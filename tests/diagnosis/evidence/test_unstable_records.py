@@ -218,6 +218,7 @@ def test_a_constant_torque_on_an_unstable_plant_is_named_with_its_size():
     assert abs(torque.value - 0.05) < 3.5 * torque.std_error
 
 
+@pytest.mark.slow
 def test_a_late_sensor_of_an_unstable_plant_is_named_with_its_delay():
     """One sample of the only sensor that is recorded."""
     found = diagnosed(upright(late=1, seed=1, N=1000).without("gyro"), "gyro")

@@ -109,6 +109,7 @@ def test_what_explains_nearly_as_much_is_compared_again_where_misfit_passed_for_
     assert near_ones(at, best, [best, near, far]) == expected
 
 
+@pytest.mark.slow
 def test_of_a_bias_and_a_gain_about_where_a_level_stays_the_bias_is_named() -> None:
     """A h' = q - c sqrt(h) has the gain 1 + s in h with (1 + s) A and sqrt(1 + s) c.
 

@@ -85,6 +85,7 @@ def test_a_sea_is_a_disturbance_with_its_place_size_and_peak_and_no_cause() -> N
     )
 
 
+@pytest.mark.slow
 def test_a_drag_is_named_in_a_sea() -> None:
     found = casid.diagnose(hull(), record(3, drag=1.5), advise=False)
     assert found.verdict == "deficient"
@@ -105,6 +106,7 @@ def test_a_drag_stays_named_in_a_sea_of_which_more_can_be_said(
     assert found.fitted["noise_floor"] == pytest.approx(found.fitted["extended_rmse"], rel=0.11)
 
 
+@pytest.mark.slow
 def test_spikes_of_a_sensor_are_told_in_a_sea() -> None:
     """They are small beside the waves, and large beside the noise of the sensor that has them."""
     calm = record(1)

@@ -52,6 +52,7 @@ def record(
     return casid.Record({"position": x, "F": F}, {"position": "m", "F": "N"}, TS)
 
 
+@pytest.mark.slow
 def test_the_size_of_dry_friction_is_within_its_error_and_nothing_is_invented():
     lines: list[str] = []
     found = casid.diagnose(slider(), record(), advise=False, progress=lines.append)
@@ -65,6 +66,7 @@ def test_the_size_of_dry_friction_is_within_its_error_and_nothing_is_invented():
     assert found.model.causes[0].constants["speed"] == pytest.approx(SHARP, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_short_record_is_simulated_in_finer_steps_for_a_sharper_reversal():
     """0.8 m/s^2 over 5 mm/s is 6 times a step of 40 ms: one that coarse could not follow it."""
     found = casid.diagnose(slider(), record(sharp=0.005, TS=0.04), advise=False)

@@ -53,6 +53,7 @@ def record() -> casid.Record:
     return casid.Record(channels, {"torque": "N m", "speed": "rad/s", "twist": "rad"}, Ts=TS)
 
 
+@pytest.mark.slow
 def test_a_part_between_two_bodies_is_named_alone_and_sized_within_its_errors() -> None:
     found = casid.diagnose(drive(), record(), advise=False)
     (cause,) = found.causes

@@ -66,6 +66,7 @@ def roll_axis() -> casid.Problem:
     return casid.Problem("roll axis", m)
 
 
+@pytest.mark.slow
 def test_a_large_drag_is_named_and_sized_from_where_the_user_would_start() -> None:
     found = casid.diagnose(roll_axis(), flight(drag=0.02, seed=1), advise=False)
     assert [(c.kind, c.where) for c in found.causes] == [("quadratic_damping", "roll")]
@@ -74,6 +75,7 @@ def test_a_large_drag_is_named_and_sized_from_where_the_user_would_start() -> No
     assert size.value == pytest.approx(0.02, abs=4 * size.std_error)
 
 
+@pytest.mark.slow
 def test_a_constant_torque_is_named_although_no_parameter_is_determined_without_it() -> None:
     found = casid.diagnose(roll_axis(), flight(torque=0.02), advise=False)
     assert [(c.kind, c.where) for c in found.causes] == [("offset", "roll")]

@@ -33,6 +33,7 @@ def run() -> casid.Record:
     return casid.Record({"q": q, "level": level}, {"q": "m/s", "level": "m"}, Ts=TS, name="run")
 
 
+@pytest.mark.slow
 def test_a_jump_in_the_second_record_is_found_where_it_is():
     whole = run()
     records = [whole.between(0.0, 39.95), whole.between(40.0, np.inf)]

@@ -49,6 +49,7 @@ def record(lower: float, upper: float) -> casid.Record:
     return casid.Record({"F": F, "position": x}, {"F": "N", "position": "m"}, Ts=TS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stops", "says"),
     [

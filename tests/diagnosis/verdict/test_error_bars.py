@@ -11,7 +11,6 @@ from casid.estimation.simulation.simulation_estimate import CORRECTED
 from problems import pendulum
 
 
-@pytest.mark.slow
 def test_a_record_that_lacks_nothing_has_the_estimates_of_identify():
     """Noise on the measured input biases least squares, of a diagnosis as of an estimate."""
     record = pendulum.simulate(duration=20.0, seed=2)

@@ -81,6 +81,7 @@ def test_a_gap_in_a_record_is_no_cause(seed):
     assert found.verdict == "adequate", found.sentence
 
 
+@pytest.mark.slow
 def test_a_gap_leaves_the_noise_of_an_input_as_large_as_it_is():
     """Of 1400 samples 60 are missing: what is estimated from the rest is the same on the average.
 

@@ -118,6 +118,7 @@ def test_estimates_with_a_noisy_input_scatter_about_the_truth_as_their_errors_sa
     assert covered > 0.95 - 3 * 0.034
 
 
+@pytest.mark.slow
 def test_missing_samples_of_an_output_leave_the_equations_without_bias() -> None:
     """20 records that miss a quarter of the output, a long gap among it: as for complete ones."""
     truth, z, plain, wider = np.array([A, B]), [], [], []
@@ -228,6 +229,7 @@ def test_the_floor_is_used_where_the_residual_cannot_tell_and_agrees() -> None:
     assert np.mean(at_floor) >= 0.75  # they agree at a level of 95 %
 
 
+@pytest.mark.slow
 def test_noise_that_biases_little_still_counts_in_the_errors() -> None:
     """An input that moves slow states: noise next to nothing in the residual, all of it slow."""
     m = casid.Model("slow")

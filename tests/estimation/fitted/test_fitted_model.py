@@ -260,6 +260,7 @@ def test_segments_of_multiple_shooting_start_where_the_fit_has_them():
     assert np.array_equal(model.residuals(run)["position"], residual[:, 0])
 
 
+@pytest.mark.slow
 def test_a_diagnosis_leaves_the_model_with_its_causes_for_the_record_as_it_is():
     """A wrong sign was negated before the fit; in the model it is a factor of the sensor."""
     run = record(N=1500)

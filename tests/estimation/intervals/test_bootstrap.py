@@ -34,6 +34,7 @@ def test_of_a_linear_model_they_are_those_of_the_standard_error(monkeypatch):
     assert f"{n} estimates from records simulated" in found.intervals["bootstrap"]
 
 
+@pytest.mark.slow
 def test_of_a_skewed_estimate_they_are_skewed_as_the_profile_is():
     record = step_response(4, sd=0.03)
     by_simulation = identify(lag_problem(), record, intervals="bootstrap").parameter("tau")

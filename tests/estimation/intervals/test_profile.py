@@ -154,6 +154,7 @@ def swing(seed, d):
     return casid.Record({"x": x + 0.3 * rng.standard_normal(300)}, {"x": "m"}, 0.1)
 
 
+@pytest.mark.slow
 def test_at_a_bound_the_interval_has_an_end_on_the_other_side_and_covers():
     """At least 95 %, and at most 97.5 %, of draws (Self and Liang 1987); 1 % binomial tails."""
     draws, covered, at_bound = 60, 0, 0

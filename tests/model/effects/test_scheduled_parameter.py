@@ -82,7 +82,6 @@ def diagnosed(slope: float, seed: int, of: str = "d") -> casid.Diagnosis:
     return casid.diagnose(problem(), record(slope, seed, of=of), advise=False)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("of", "slope", "value"), [("d", 0.5, DAMPING), ("k", -0.1, STIFFNESS)], ids="dk"
 )
@@ -152,7 +151,6 @@ def battery() -> casid.Problem:
     return casid.Problem("battery", m)
 
 
-@pytest.mark.slow
 def test_a_resistance_in_what_a_sensor_shows_is_named_with_the_charge_that_it_depends_on():
     """v = v_0 + k z - R (1 - 0.4 (z - 1/2)) i at a charge z counted exactly: R~z, -0.4 R."""
     rng, N = np.random.default_rng(2), 1800
@@ -316,6 +314,7 @@ def test_the_gain_of_an_input_is_tested_with_every_other_input():
     assert found == ["efficiency~outside"]
 
 
+@pytest.mark.slow
 def test_what_a_heat_pump_makes_of_its_power_depends_on_the_temperature_outside():
     """C T' = 3 (1 + 0.03 (outside - mean)) power - 12 (T - outside), by exact steps of 60 s."""
     rng, n, h, slope = np.random.default_rng(4), 1500, 60.0, 0.09
