@@ -27,7 +27,7 @@ from casid.model.effects.channel_effects import (
 )
 from casid.model.effects.clock_effects import clock_effects_of
 from casid.model.effects.contact_effects import Side, backlash, end_stop
-from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.effect import Effect, Motion, Sizes
 from casid.model.effects.flow_laws import flow_law, is_positive, power_law, states_with_one_law
 from casid.model.effects.friction_effects import (
     asymmetric_coulomb,
@@ -52,6 +52,7 @@ from casid.model.effects.search_ranges import (
     HYSTERESIS,
     RANGES,
     SMOOTHING,
+    UNNAMED_EFFECTS,
 )
 from casid.model.effects.sensor_effects import sensor_effects_of
 from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
@@ -183,15 +184,27 @@ def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Eff
     if place.velocity is None:
         return []
     motion = sizes.motion_of(place.velocity)
-    found = (
-        [flow_law(model, place, motion.rms)]
-        if place.is_relative
-        else [
+    if place.is_relative:
+        found = [flow_law(model, place, motion.rms)]
+    else:
+        far = _far_levels_of_rest(motion)
+        found = [
             linear_loss(model, place, motion.operating_point),
+            *(linear_loss(model, place, level, sided="positive") for level in far),
             linear_restoring_force(model, place),
         ]
-    )
-    return [e for e in found if e is not None]
+    different = {(e.shape, *(p.start for p in e.parameters)): e for e in found if e is not None}
+    return list(different.values())
+
+
+def _far_levels_of_rest(motion: Motion) -> list[float]:
+    """Where a loss may vanish besides at the mean, of what stays away from zero.
+
+    The room that a hot body loses heat to is below all that the body is at. The signature of a loss
+    about the mean has no constant part, and parameters of the model may absorb the rest of it.
+    """
+    reach = 0.5 * (motion.high - motion.low) if motion.is_signed else 0.0
+    return [motion.mean + side * reach for side in UNNAMED_EFFECTS.rests if reach > 0.0]
 
 
 def _power_laws(model: Model, sizes: Sizes) -> Iterator[Effect]:

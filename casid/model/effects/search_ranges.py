@@ -261,6 +261,12 @@ class UnnamedEffects:
     priority: int = _is(
         3, "of two effects that do the same, the lower is reported: the named one", _UNNAMED
     )
+    rests: tuple[float, ...] = _is(
+        (-3.0, -0.5, 0.5, 3.0),
+        "times half the range of a state, from its mean to where a loss in proportion to it may "
+        "vanish: between two of these the angle of the signatures is at most 22 degrees",
+        _UNNAMED,
+    )
     lowest_power: float = _is(0.1, "lower bound of the exponent of a power law", _FLOW_LAWS)
     highest_power: float = _is(4.0, "upper bound of the exponent of a power law", _FLOW_LAWS)
 

@@ -16,7 +16,7 @@ import numpy as np
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
-from casid.model.effects.effect import Effect, known_while_null
+from casid.model.effects.effect import Effect, Sided, known_while_null
 from casid.model.effects.flow_laws import is_positive
 from casid.model.effects.names import bracketed
 from casid.model.effects.place import Place
@@ -73,7 +73,9 @@ def unnamed_effects(
     return found
 
 
-def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None:
+def linear_loss(
+    model: Model, where: str | Place, about: float, *, sided: Sided = "both"
+) -> Effect | None:
     """-c (v - v_0), in a balance whose rate no estimated parameter of its own resists yet.
 
     A loss or viscous friction that the model leaves out: drag, or a valve that an input opens, is
@@ -108,7 +110,7 @@ def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None
         place.where,
         (c, rest) if about else (c,),
         apply,
-        priority=1,
+        sided=sided,
         cost=2 if about else 1,
         shape=place.velocity_name,
         description=f"{_a_quantity(place.unit)} in proportion to {place.velocity_name}{beyond}, "
@@ -131,7 +133,6 @@ def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
         "unknown",
         Parameter(f"k_{place.position_name}", place.velocity_power(0, 1), 0.0),
         lambda k: -k * place.position,
-        priority=1,
         shape=place.position_name,
         description=f"{_a_quantity(place.unit)} in proportion to {place.position_name}, "
         "which the model leaves out",

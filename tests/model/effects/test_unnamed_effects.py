@@ -12,7 +12,7 @@ from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.effect import KINDS, Effect
+from casid.model.effects.effect import KINDS, Effect, Sizes
 from casid.model.effects.flow_laws import power_law
 from casid.model.effects.unnamed_effects import linear_loss, unnamed_effects
 from problems import pendulum
@@ -88,3 +88,21 @@ def test_a_loss_has_the_article_of_its_quantity(unit: str, inertia: str, words: 
     loss = linear_loss(m, "content", 0.0)
     assert loss is not None
     assert loss.description.startswith(words)
+
+
+@pytest.mark.parametrize("room", [-200.0, 290.0, 320.0, 330.0, 338.0, 345.0, 900.0])
+def test_one_of_the_losses_acts_much_as_any_other_wherever_it_vanishes(room: float):
+    """The angle of T - room and T - level over what T ranges evenly over, for the nearest level."""
+    m = casid.Model("vessel")
+    T = m.state("T", "K")
+    C = m.constant("C", 8e4, "J/K")
+    m.balance(T, "vessel", inertia=C, terms=[m.input("P", "W")])
+    m.output("T_m", T, "K")
+    course = np.linspace(320.0, 340.0, 201)
+    sizes = Sizes({"T": 330.0}, {"T_m": 340.0}, (0.0, 1e4), 10.0, ranges={"T": (320.0, 340.0)})
+    losses = [e for e in catalogue(m, sizes, {}) if e.key == ("unknown", "vessel: T")]
+    levels = [e.parameters[1].start for e in losses]
+    wanted = (course - room) / np.linalg.norm(course - room)
+    acts = [(course - level) / np.linalg.norm(course - level) for level in levels]
+    assert max(abs(float(wanted @ each)) for each in acts) > np.cos(np.radians(22.0))
+    assert not any(e.is_unnamed for e in losses)
