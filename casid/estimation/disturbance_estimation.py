@@ -15,7 +15,14 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.missing_samples import FILLED_FROM, unbroken
-from casid.estimation.noise import NoiseModel, variances, whittle, with_rounding
+from casid.estimation.noise import (
+    NoiseModel,
+    given_variances,
+    known_sources,
+    variances,
+    whittle,
+    with_rounding,
+)
 from casid.estimation.noise_response import Response, places_of_forces
 from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -115,6 +122,7 @@ def _searched(
         spectra_of(residuals, noise.responses, sources, len(outputs), windows, envelopes),
         [(d.N, d.Ts) for d in criterion.data],
         known,
+        known_sources(known, criterion.model),
         outputs,
     )
     chosen: dict[str, DisturbanceSpectrum] = {}
@@ -137,21 +145,14 @@ class _Search:
     white: Spectra  # with every source white
     records: Sequence[tuple[int, float]]  # samples and sample time [s] of each
     known: Mapping[str, float]
+    known_inputs: Mapping[str, float]
     outputs: tuple[str, ...]
-
-    @property
-    def names(self) -> list[str]:
-        """Of the columns of `white`."""
-        return [*self.outputs, *self.noise.responses[0].sources]
 
     def fitted(self, found: Mapping[str, DisturbanceSpectrum]) -> tuple[float, Array]:
         """Minus the log-likelihood and the price of its parameters, and the variances."""
-        names = [*self.outputs, *self._sources(found)]
-        design = self.white.design[:, [self.names.index(n) for n in names]].copy()
-        for name, spectrum in found.items():
-            design[:, names.index(name)] *= self._in_bands([spectrum])[0]
-        spectra = replace(self.white, design=design)
-        given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
+        sources = self._sources(found)
+        spectra = replace(self.white, design=self._design(sources, found))
+        given = given_variances(self.outputs, sources, self.known, self.known_inputs)
         value = variances(spectra, given, tolerance=TOLERANCE)
         return whittle(spectra, value) + self._price(found), value
 
@@ -198,18 +199,26 @@ class _Search:
         name: str,
     ) -> tuple[DisturbanceSpectrum, float]:
         """The likeliest spectrum of a force beside those found, and its price."""
-        first = {**found, name: candidates[0]}
-        names = [*self.outputs, *self._sources(first)]
-        design = self.white.design[:, [self.names.index(n) for n in names]].copy()
-        for other, spectrum in found.items():
-            design[:, names.index(other)] *= self._in_bands([spectrum])[0]
-        every = np.repeat(design[None], len(candidates), axis=0)
-        every[:, :, names.index(name)] *= self._in_bands(candidates)
-        given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
+        sources = self._sources({**found, name: candidates[0]})
+        every = np.repeat(self._design(sources, found)[None], len(candidates), axis=0)
+        every[:, :, len(self.outputs) + sources.index(name)] *= self._in_bands(candidates)
+        given = given_variances(self.outputs, sources, self.known, self.known_inputs)
         values = likelihoods(self.white, every, given, ROUGHLY)
         values += [self._price({**found, name: c}) for c in candidates]
         k = int(np.argmin(values))
         return candidates[k], float(values[k])
+
+    def _design(self, sources: Sequence[str], found: Mapping[str, DisturbanceSpectrum]) -> Array:
+        """(B, ny + ns) what a unit variance of each output and each of these sources adds.
+
+        By their places: an output may have the name of the balance that moves it.
+        """
+        ny, every = len(self.outputs), self.noise.responses[0].sources
+        columns = [*range(ny), *(ny + every.index(name) for name in sources)]
+        design = self.white.design[:, columns].copy()
+        for name, spectrum in found.items():
+            design[:, ny + sources.index(name)] *= self._in_bands([spectrum])[0]
+        return design
 
     def is_seen(self, value: Array, found: Mapping[str, DisturbanceSpectrum]) -> bool:
         """False if a force in a stated rate makes less than `LEAST` of every output."""
