@@ -30,7 +30,7 @@ from casid.estimation.missing_samples import (
 )
 from casid.estimation.noise_floor import is_held, white_floor
 from casid.estimation.noise_response import Response, name_of_force, noise_response
-from casid.estimation.residual_spectra import Spectra, spectra_of
+from casid.estimation.residual_spectra import Spectra, restricted, spectra_of
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
@@ -326,9 +326,12 @@ def estimate_noise(
 
 
 def whittle(spectra: Spectra, value: Array) -> float:
-    """Minus Whittle's log-likelihood of periodograms under the variances `value`."""
+    """Minus Whittle's log-likelihood of periodograms under the variances `value`.
+
+    The restricted one, where the spectra have a tangent.
+    """
     s = np.maximum(spectra.design @ value, spectra.floor)
-    return float(spectra.count @ (np.log(s) + spectra.power / s))
+    return float(spectra.count @ (np.log(s) + spectra.power / s) + restricted(spectra, s))
 
 
 def _covariance(
