@@ -9,15 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.missing_samples import FILLED_FROM, unbroken
-from casid.estimation.noise import NoiseModel, variances, whittle, with_rounding
+from casid.estimation.noise import (
+    NoiseModel,
+    given_variances,
+    known_sources,
+    variances,
+    whittle,
+    with_rounding,
+)
 from casid.estimation.noise_response import Response, places_of_forces
-from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of
+from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of, with_tangent
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.variance_scoring import likelihoods
 
@@ -26,7 +34,10 @@ CORNERS = 12
 WIDTHS = (0.05, 0.3)
 """Values of zeta that a search starts from."""
 LOWEST = 4
-"""Periods that a record holds of the lowest corner, at least."""
+"""Periods that a record holds of the lowest peak, at least."""
+LOWEST_CORNER = 1
+"""The same of the corner of a first-order spectrum: what is slower is a walk in this record, which
+one at its lowest corner is as well."""
 ROUGHLY = 1e-2
 """Relative change of the spectrum at which its variances are found while spectra are compared: the
 likelihood, at its maximum over the variances, errs by the square of that."""
@@ -53,6 +64,7 @@ def with_disturbance_spectra(
     known: Mapping[str, float] | None = None,
     *,
     residuals: Sequence[Array] | None = None,
+    is_simple: bool = False,
 ) -> NoiseModel:
     """The noise of the residual at `x` with forces that are not white where it shows such.
 
@@ -62,12 +74,21 @@ def with_disturbance_spectra(
     ----------
     noise : as estimated with white sources alone.
     known, residuals : as for `estimate_noise`.
+    is_simple : no force has a spectrum with a peak.
     """
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     known = with_rounding(criterion.data, known or {})
     used = [d.used for d in criterion.data]
-    found = _searched(noise, criterion, residuals, used, known)
+    searched = partial(
+        _searched,
+        noise,
+        criterion,
+        known=known,
+        moved=_sensitivities(criterion, x),
+        simple=is_simple,
+    )
+    found = searched(residuals, used)
     has_holes = [unbroken(u) is None for u in used]
     if any(has_holes) and min(float(u.mean()) for u in used) >= FILLED_FROM:
         # What a narrow band has at its peak leaks through gaps over all other frequencies, and its
@@ -77,7 +98,7 @@ def with_disturbance_spectra(
         there = [np.ones_like(u) if hole else u for u, hole in zip(used, has_holes, strict=True)]
         for _ in range(FILLINGS):
             whole = [found.filled(r, e, rng) for e, r in enumerate(residuals)]
-            found = _searched(noise, criterion, whole, there, known)
+            found = searched(whole, there)
     return found
 
 
@@ -102,20 +123,33 @@ def _searched(
     criterion: SimulationError,
     residuals: Sequence[Array],
     used: Sequence[BoolArray],
+    *,
     known: Mapping[str, float],
+    moved: Sequence[Array],
+    simple: bool,
 ) -> NoiseModel:
-    """The noise with the spectra of forces that residuals (N, ny) have in the samples `used`."""
+    """The noise with the spectra of forces that residuals (N, ny) have in the samples `used`.
+
+    Parameters
+    ----------
+    moved : (N, ny, n) an experiment, what parameters that were fitted change of them.
+    simple : no spectrum has a peak.
+    """
     # Without a taper the ends of a slow and large motion leak over the noise of the sensors.
     residuals = [_tapered(r) for r in residuals]
     windows = [u if u.all() else _tapered(1.0 * u) for u in used]
     envelopes = [_tapered(np.ones(u.shape)) for u in used]
     sources, outputs = noise.responses[0].sources, tuple(criterion.outputs)
+    spectra = spectra_of(residuals, noise.responses, sources, len(outputs), windows, envelopes)
+    columns = [_tapered(m * u[:, :, None]) for m, u in zip(moved, used, strict=True)]
     search = _Search(
         noise,
-        spectra_of(residuals, noise.responses, sources, len(outputs), windows, envelopes),
+        with_tangent(spectra, columns),
         [(d.N, d.Ts) for d in criterion.data],
         known,
+        known_sources(known, criterion.model),
         outputs,
+        WIDTHS if not simple else (),
     )
     chosen: dict[str, DisturbanceSpectrum] = {}
     best = search.fitted(chosen)
@@ -137,21 +171,15 @@ class _Search:
     white: Spectra  # with every source white
     records: Sequence[tuple[int, float]]  # samples and sample time [s] of each
     known: Mapping[str, float]
+    known_inputs: Mapping[str, float]
     outputs: tuple[str, ...]
-
-    @property
-    def names(self) -> list[str]:
-        """Of the columns of `white`."""
-        return [*self.outputs, *self.noise.responses[0].sources]
+    widths: tuple[float, ...] = WIDTHS  # those of peaks that a search starts from
 
     def fitted(self, found: Mapping[str, DisturbanceSpectrum]) -> tuple[float, Array]:
         """Minus the log-likelihood and the price of its parameters, and the variances."""
-        names = [*self.outputs, *self._sources(found)]
-        design = self.white.design[:, [self.names.index(n) for n in names]].copy()
-        for name, spectrum in found.items():
-            design[:, names.index(name)] *= self._in_bands([spectrum])[0]
-        spectra = replace(self.white, design=design)
-        given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
+        sources = self._sources(found)
+        spectra = replace(self.white, design=self._design(sources, found))
+        given = given_variances(self.outputs, sources, self.known, self.known_inputs)
         value = variances(spectra, given, tolerance=TOLERANCE)
         return whittle(spectra, value) + self._price(found), value
 
@@ -167,21 +195,24 @@ class _Search:
         """The best spectrum of one more force: of a grid, and then beside it."""
         if name in found or not self._is_felt(name):
             return None
-        low = min(2 * np.pi * LOWEST / (n * Ts) for n, Ts in self.records)
+        once = min(2 * np.pi / (n * Ts) for n, Ts in self.records)
         high = 0.5 * np.pi / min(Ts for _, Ts in self.records)
-        if low >= high:
+        if LOWEST * once >= high:
             return None
 
-        shapes = [(None, False), *((zeta, band) for zeta in WIDTHS for band in (False, True))]
+        def range_of(shape: DisturbanceSpectrum) -> tuple[float, float]:
+            return once * (LOWEST_CORNER if shape.damping is None else LOWEST), high
+
+        shapes = [(None, False), *((zeta, band) for zeta in self.widths for band in (False, True))]
         grid = [
             DisturbanceSpectrum(float(w), zeta, band)
-            for w in np.geomspace(low, high, CORNERS)
             for zeta, band in shapes
+            for w in np.geomspace(*range_of(DisturbanceSpectrum(high, zeta, band)), CORNERS)
         ]
         best, least = self._best_of(grid, found, name)
         for step in FINER:
             for _ in range(MOVES):
-                around = _beside(best, step, (low, high))
+                around = _beside(best, step, range_of(best))
                 near, value = self._best_of(around, found, name)
                 if not value < least:
                     break
@@ -198,18 +229,26 @@ class _Search:
         name: str,
     ) -> tuple[DisturbanceSpectrum, float]:
         """The likeliest spectrum of a force beside those found, and its price."""
-        first = {**found, name: candidates[0]}
-        names = [*self.outputs, *self._sources(first)]
-        design = self.white.design[:, [self.names.index(n) for n in names]].copy()
-        for other, spectrum in found.items():
-            design[:, names.index(other)] *= self._in_bands([spectrum])[0]
-        every = np.repeat(design[None], len(candidates), axis=0)
-        every[:, :, names.index(name)] *= self._in_bands(candidates)
-        given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
+        sources = self._sources({**found, name: candidates[0]})
+        every = np.repeat(self._design(sources, found)[None], len(candidates), axis=0)
+        every[:, :, len(self.outputs) + sources.index(name)] *= self._in_bands(candidates)
+        given = given_variances(self.outputs, sources, self.known, self.known_inputs)
         values = likelihoods(self.white, every, given, ROUGHLY)
         values += [self._price({**found, name: c}) for c in candidates]
         k = int(np.argmin(values))
         return candidates[k], float(values[k])
+
+    def _design(self, sources: Sequence[str], found: Mapping[str, DisturbanceSpectrum]) -> Array:
+        """(B, ny + ns) what a unit variance of each output and each of these sources adds.
+
+        By their places: an output may have the name of the balance that moves it.
+        """
+        ny, every = len(self.outputs), self.noise.responses[0].sources
+        columns = [*range(ny), *(ny + every.index(name) for name in sources)]
+        design = self.white.design[:, columns].copy()
+        for name, spectrum in found.items():
+            design[:, ny + sources.index(name)] *= self._in_bands([spectrum])[0]
+        return design
 
     def is_seen(self, value: Array, found: Mapping[str, DisturbanceSpectrum]) -> bool:
         """False if a force in a stated rate makes less than `LEAST` of every output."""
@@ -302,7 +341,16 @@ def _is_between(
     return inside and low.damping < at.damping < high.damping
 
 
+def _sensitivities(criterion: SimulationError, x: Array) -> list[Array]:
+    """(N, ny, n) an experiment, of residuals to the parameters; a taper hides initial states."""
+    model = criterion.model
+    of = [i for i, v in enumerate(criterion.variables) if v.source in model.parameters]
+    every = [criterion.simulated(x, e).jacobian[:, :, of] for e in range(len(criterion.data))]
+    return [np.nan_to_num(each, nan=0.0, posinf=0.0, neginf=0.0) for each in every]
+
+
 def _tapered(residual: Array) -> Array:
-    """A residual (N, ny) under Hann's window, of the same power."""
-    window = np.hanning(len(residual) + 2)[1:-1, None]
-    return np.asarray(residual * window / np.sqrt(np.mean(window**2)))
+    """A residual (N, ny, ...) under Hann's window, of the same power."""
+    window = np.hanning(len(residual) + 2)[1:-1]
+    window = window / np.sqrt(np.mean(window**2))
+    return np.asarray(residual * window.reshape(-1, *[1] * (residual.ndim - 1)))

@@ -24,7 +24,7 @@ from scipy.fft import rfft
 from casid.arrays import TINY, Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.missing_samples import FILLED_FROM, unbroken
-from casid.estimation.noise import NoiseModel, with_rounding
+from casid.estimation.noise import NoiseModel, known_sources, with_rounding
 from casid.estimation.noise_response import noise_response
 from casid.estimation.residual_spectra import band_edges
 from casid.estimation.simulation.signals import Signals
@@ -144,7 +144,8 @@ class _Likelihood:
         self.criterion, self.noise, self.signals = criterion, noise, signals
         self.sources = [n for n, sd in noise.source_sd.items() if sd > 0.0]
         self.free_outputs = [i for i, n in enumerate(criterion.outputs) if n not in known]
-        self.free_sources = [n for n in self.sources if n not in known]
+        stated = known_sources(known, criterion.model)
+        self.free_sources = [n for n in self.sources if n not in stated]
         self.shaped = [n for n in self.free_sources if n in noise.spectra]
         logs = [2 * np.log(max(float(noise.output_sd[i]), TINY)) for i in self.free_outputs]
         logs += [2 * np.log(noise.source_sd[n]) for n in self.free_sources]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
@@ -28,10 +29,15 @@ from casid.estimation.missing_samples import (
     unbroken,
 )
 from casid.estimation.noise_floor import is_held, white_floor
-from casid.estimation.noise_response import Response, noise_response
-from casid.estimation.residual_spectra import Spectra, spectra_of
+from casid.estimation.noise_response import Response, name_of_force, noise_response
+from casid.estimation.residual_spectra import Spectra, restricted, spectra_of
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.model import Model
+
+Variance = tuple[Literal["output", "source"], str]
+"""Whose: of an output, or of a source, which is a measured input or a force. The law of a state
+is a force by the state's name, which an output may have as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +49,7 @@ class NoiseModel:
     responses: Sequence[Response]  # one an experiment
     weights: Array
     alike: Sequence[tuple[str, ...]] = ()  # sources of one shape; the first carries the variance
-    covariance: Mapping[tuple[str, str], float] = field(default_factory=dict)  # of variances found
+    covariance: Mapping[tuple[Variance, Variance], float] = field(default_factory=dict)
     spectra: Mapping[str, DisturbanceSpectrum] = field(default_factory=dict)  # of forces not white
     misfit: float = float("nan")  # minus Whittle's log-likelihood of the residual it is found from
     used: Sequence[BoolArray] = ()  # (N, ny) an experiment, where samples are missing
@@ -60,8 +66,9 @@ class NoiseModel:
         return replace(self, source_sd={name: input_sd.get(name, 0.0) for name in self.source_sd})
 
     def variance_error(self, name: str) -> float:
-        """Standard error of the variance of a channel or balance; 0 where it was not sought."""
-        return float(np.sqrt(max(self.covariance.get((name, name), 0.0), 0.0)))
+        """Standard error of the variance of a source; 0 where it was not sought."""
+        key: Variance = ("source", name)
+        return float(np.sqrt(max(self.covariance.get((key, key), 0.0), 0.0)))
 
     def of_inputs(self, largest: Mapping[str, float]) -> dict[str, float]:
         """What part of `source_sd` the measured inputs can account for.
@@ -271,7 +278,8 @@ def estimate_noise(
 
     Parameters
     ----------
-    known : channel -> standard deviation that is known and not estimated.
+    known : channel -> standard deviation that is known and not estimated; of the force in a balance
+        by the name that `with_forces` gives it.
     residuals : (N, ny) an experiment, default those at `x`.
     responses : of the experiments, where they are known already.
     has_disturbances : False: of sensors and measured inputs alone.
@@ -279,19 +287,19 @@ def estimate_noise(
         count, and nothing.
     """
     known = with_rounding(criterion.data, known or {})
+    stated = known_sources(known, criterion.model)
     ny = len(criterion.outputs)
     if responses is None:
         responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     every = list(responses[0].sources)
-    alike: list[tuple[str, ...]] = [(name,) for name in every if name in known]
+    alike: list[tuple[str, ...]] = [(name,) for name in every if name in stated]
     found_in = [*criterion.model.inputs, *(criterion.model.balances if has_disturbances else ())]
-    rest = [name for name in every if name not in known and name in found_in]
+    rest = [name for name in every if name not in stated and name in found_in]
     alike += _alike(responses, criterion.weights, every, rest) if merge else [(n,) for n in rest]
     sources = [group[0] for group in alike]
-    names = [*criterion.outputs, *sources]
-    given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
+    given = given_variances(criterion.outputs, sources, known, stated)
     used = [d.used.copy() for d in criterion.data]
     shown = seen_through or Seen(used)
     spectra = spectra_of(residuals, responses, sources, ny, shown.windows, absorbed=shown.absorbed)
@@ -300,14 +308,17 @@ def estimate_noise(
     output_sd = np.sqrt(np.maximum(value[:ny], spectra.least))
     found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
     is_felt = np.any(spectra.design * value > spectra.floor[:, None], axis=0)
-    sought = np.isnan(given) & (is_felt | np.isin(names, list(criterion.model.inputs)))
+    is_input = np.array([False] * ny + [name in criterion.model.inputs for name in sources])
+    sought = np.isnan(given) & (is_felt | is_input)
+    keys: list[Variance] = [("output", n) for n in criterion.outputs]
+    keys += [("source", n) for n in sources]
     return NoiseModel(
         output_sd=output_sd,
         source_sd={name: found.get(name, 0.0) for name in every},
         responses=responses,
         weights=criterion.weights,
         alike=tuple(alike),
-        covariance=_covariance(spectra, value, names, sought),
+        covariance=_covariance(spectra, value, keys, sought),
         misfit=whittle(spectra, value),
         used=() if all(mask.all() for mask in used) else used,
         known=known,
@@ -315,14 +326,17 @@ def estimate_noise(
 
 
 def whittle(spectra: Spectra, value: Array) -> float:
-    """Minus Whittle's log-likelihood of periodograms under the variances `value`."""
+    """Minus Whittle's log-likelihood of periodograms under the variances `value`.
+
+    The restricted one, where the spectra have a tangent.
+    """
     s = np.maximum(spectra.design @ value, spectra.floor)
-    return float(spectra.count @ (np.log(s) + spectra.power / s))
+    return float(spectra.count @ (np.log(s) + spectra.power / s) + restricted(spectra, s))
 
 
 def _covariance(
-    spectra: Spectra, value: Array, names: Sequence[str], sought: Array
-) -> dict[tuple[str, str], float]:
+    spectra: Spectra, value: Array, keys: Sequence[Variance], sought: Array
+) -> dict[tuple[Variance, Variance], float]:
     """Covariance of the variances that were `sought`: the inverse of Whittle's information."""
     index = np.flatnonzero(sought)
     design = spectra.design[:, index] / np.maximum(spectra.design @ value, spectra.floor)[:, None]
@@ -330,7 +344,7 @@ def _covariance(
     scaled = design / size
     inverse = np.linalg.pinv((scaled * spectra.count[:, None]).T @ scaled) / np.outer(size, size)
     return {
-        (names[i], names[j]): float(inverse[a, b])
+        (keys[i], keys[j]): float(inverse[a, b])
         for a, i in enumerate(index.tolist())
         for b, j in enumerate(index.tolist())
     }
@@ -414,6 +428,27 @@ def with_rounding(signals: Sequence[Signals], known: Mapping[str, float]) -> dic
         for name, sd in d.rounding.items():
             out[name] = max(sd, out.get(name, 0.0))
     return out | dict(known)
+
+
+def known_sources(known: Mapping[str, float], model: Model) -> dict[str, float]:
+    """Of the noise that is known, that of inputs, and of forces by their balances.
+
+    The law of a state is a balance by the state's name, and so may be an output.
+    """
+    inputs = {name: known[name] for name in model.inputs if name in known}
+    forces = {place: name_of_force(place) for place in model.balances}
+    return inputs | {place: known[n] for place, n in forces.items() if n in known}
+
+
+def given_variances(
+    outputs: Sequence[str],
+    sources: Sequence[str],
+    known: Mapping[str, float],
+    known_forces: Mapping[str, float],
+) -> Array:
+    """(ny + ns,) variances of outputs and sources that are known, NaN of the others."""
+    sds = [known.get(n, np.nan) for n in outputs] + [known_forces.get(n, np.nan) for n in sources]
+    return np.array(sds) ** 2
 
 
 def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict[str, float]:

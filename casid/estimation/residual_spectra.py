@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -13,6 +13,8 @@ from casid.estimation.noise_response import Response
 
 TAKEN = 0.01
 """Of the median of the next lines, below which a fit took the line at zero away (white: 7 %)."""
+DEPENDENT = 1e-8
+"""Eigenvalue of columns of unit size below which they depend on the others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +26,7 @@ class Spectra:
     count: Array  # (B,) frequencies of each band; a mean that the fit took away is none
     omega: Array  # (B,) rad/sample, their mean
     output: Array  # (B,) index of the output
+    tangent: Array | None = None  # (B, n, n) what `restricted` counts; None: nothing
 
     @property
     def least(self) -> Array:
@@ -80,6 +83,44 @@ def spectra_of(
             outputs.append(np.full(len(power), i))
     joined = (np.concatenate(each) for each in (powers, counts, centres, outputs))
     return Spectra(np.vstack(rows), *joined)
+
+
+def restricted(spectra: Spectra, s: Array) -> Array:
+    """(...,) what the restricted likelihood adds to minus that of residuals of spectra s (..., B).
+
+    A fit takes from a residual what its tangent T reaches, most of it slow where parameters are. By
+    half of log det T^H S^-1 T (Patterson and Thompson, Biometrika 58 (1971) 545-554) what is not
+    there speaks for no spectrum without power at those frequencies.
+    """
+    if spectra.tangent is None or not spectra.tangent.shape[1]:
+        return np.zeros(s.shape[:-1])
+    information = np.einsum("...b,bij->...ij", 1.0 / s, spectra.tangent)
+    return np.asarray(0.5 * np.linalg.slogdet(information)[1])
+
+
+def with_tangent(spectra: Spectra, columns: Sequence[Array]) -> Spectra:
+    """The spectra of residuals with what a fit took out of these.
+
+    Parameters
+    ----------
+    columns : (N, ny, n) an experiment, sensitivities of the residual under the same window.
+    """
+    parts = []
+    for each in columns:
+        lines = np.fft.rfft(each, axis=0) / np.sqrt(len(each))
+        starts = band_edges(len(each))[:-1]
+        for i in range(each.shape[1]):
+            of = lines[:, i]
+            power = np.real(of.conj()[:, :, None] * of[:, None, :])
+            parts.append(np.add.reduceat(power, starts, axis=0))
+    tangent = np.concatenate(parts)
+    # In a basis in which white noise of the residual's size says as much of every column.
+    size = np.sqrt(np.einsum("bii->i", tangent))
+    kept = size > TINY
+    tangent = tangent[:, kept][:, :, kept] / np.outer(size[kept], size[kept])
+    values, basis = np.linalg.eigh(tangent.sum(axis=0))
+    basis = basis[:, values > DEPENDENT] / np.sqrt(values[values > DEPENDENT])
+    return replace(spectra, tangent=np.einsum("ik,bij,jl->bkl", basis, tangent, basis))
 
 
 def band_edges(samples: int) -> Array:

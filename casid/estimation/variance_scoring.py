@@ -14,7 +14,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.estimation.noise import variances, whittle
-from casid.estimation.residual_spectra import Spectra
+from casid.estimation.residual_spectra import Spectra, restricted
 
 STEPS = 60
 """Of the scoring, at most."""
@@ -60,7 +60,7 @@ def likelihoods(spectra: Spectra, design: Array, given: Array, tolerance: float)
         moving = moving[np.any(np.abs(after - before) >= tolerance * after, axis=1)]
         if not moving.size:
             break
-    return np.asarray((np.log(s) + power / s) @ count)
+    return np.asarray((np.log(s) + power / s) @ count) + restricted(spectra, s)
 
 
 def _one(spectra: Spectra, design: Array, given: Array, tolerance: float) -> float:

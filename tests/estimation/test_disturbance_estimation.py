@@ -14,6 +14,7 @@ from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import estimate_noise
 from casid.estimation.noise_response import places_of_forces
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.rate_laws import with_balances
 
 TS, N = 0.1, 4000
 SD = {"position": 0.001, "speed": 0.002}
@@ -164,3 +165,87 @@ def test_outputs_that_one_force_moves_are_whitened_together():
     assert e.T @ e / N == pytest.approx(np.eye(2), abs=5 / np.sqrt(N))
     marginal = residual / residual.std(axis=0)
     assert abs(marginal[:-1].T @ marginal[1:] / N).max() > 0.5
+
+
+def tank_under(seed: int, known: dict[str, float] | None = None):
+    """A level whose output has the name of its state, under a flow of first order (0.1 rad/s)."""
+    n, per, tau = 1500, 5, 8.0
+    rng = np.random.default_rng(seed)
+    a = np.exp(-0.1 / per)
+    w = lfilter([1.0], [1.0, -a], 0.02 * np.sqrt(1 - a * a) * rng.standard_normal(n * per))
+    h = lfilter([1.0 / per], [1.0, -(1.0 - 1.0 / (tau * per))], w)[::per]
+    m = casid.Model("tank")
+    level, T = m.state("level", "m"), m.parameter("T", "s", start=8.0, lower=1.0, upper=100.0)
+    m.derivative(level, -level / T)
+    m.output("level", level, "m")
+    y = 1.0 * np.exp(-np.arange(n) / tau) + h + 0.005 * rng.standard_normal(n)
+    record = casid.Record({"level": y}, {"level": "m"}, Ts=1.0)
+    fit = fit_model(with_balances(m), [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
+    white = estimate_noise(fit.criterion, fit.x, known=known)
+    return white, with_disturbance_spectra(white, fit.criterion, fit.x, known)
+
+
+def test_an_output_by_the_name_of_its_balance_keeps_its_noise_apart_from_the_force():
+    """The spectrum is that of the force; the sensor stays white."""
+    white, noise = tank_under(2)
+    assert noise.output_sd[0] == pytest.approx(0.005, rel=0.25)  # seen above the corner alone
+    assert noise.source_sd["level"] == pytest.approx(0.02, rel=4 / np.sqrt(150))
+    assert 0.05 < noise.spectra["level"].frequency < 0.2
+    errors = {key for key, _ in white.covariance}
+    assert ("source", "level") in errors
+    assert white.variance_error("level") > 0.0
+
+
+def test_known_noise_of_an_output_is_not_that_of_the_force_by_its_name():
+    white, noise = tank_under(2, {"level": 0.005})
+    assert white.output_sd[0] == noise.output_sd[0] == pytest.approx(0.005, rel=1e-9)
+    assert white.source_sd["level"] > 0.02  # white, it has to be the larger
+    assert noise.source_sd["level"] == pytest.approx(0.02, rel=4 / np.sqrt(150))
+
+
+def motor_under(seed: int, *, is_simple: bool = False):
+    """A speed with a gain, a time constant (20 s) and an offset, fitted by least squares.
+
+    Under a disturbance of 60 s; the record is 15 time constants long.
+    """
+    n, per, tau = 300, 5, 20.0
+    rng = np.random.default_rng(seed)
+    a = np.exp(-1 / (60.0 * per))
+    e = rng.standard_normal(n * per)
+    e[0] /= np.sqrt(1 - a * a)
+    force = lfilter([0.02 * np.sqrt(1 - a * a)], [1.0, -a], e)
+    u = np.repeat(rng.uniform(-1, 1, n // 25 + 1), 25)[:n]
+    drive = np.repeat(u, per) * 0.05 + force
+    speed = lfilter([1 / per], [1.0, -(1 - 1 / (tau * per))], drive)
+    y = np.r_[0.0, speed[:-1]][::per] + 0.01 * rng.standard_normal(n)
+    m = casid.Model("motor")
+    v, U = m.state("speed", "m/s"), m.input("U", "V", hold="zoh")
+    K = m.parameter("K", "m/(s V)", start=1.0, lower=0.01)
+    T = m.parameter("T", "s", start=15.0, lower=1.0, upper=200.0)
+    v0 = m.parameter("v0", "m/s", start=0.0)
+    m.derivative(v, (K * U + v0 - v) / T)
+    m.output("speed", v, "m/s")
+    record = casid.Record({"speed": y, "U": u}, {"speed": "m/s", "U": "V"}, Ts=1.0)
+    fit = fit_model(with_balances(m), [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
+    white = estimate_noise(fit.criterion, fit.x)
+    return with_disturbance_spectra(white, fit.criterion, fit.x, is_simple=is_simple)
+
+
+@pytest.mark.parametrize("seed", [8, 13])
+def test_what_a_fit_took_out_of_a_residual_speaks_for_no_band(seed: int):
+    """Least squares leaves no power at the lowest frequencies; a force without any is none here."""
+    noise = motor_under(seed)
+    assert not noise.spectra["speed"].is_band
+    assert noise.source_sd["speed"] > 0.0
+
+
+def test_a_force_slower_than_a_quarter_of_the_record_is_found_as_slow():
+    found = motor_under(3).spectra["speed"]
+    assert found.damping is None
+    assert found.frequency < 2 * np.pi * 2 / 300  # half of the record; the true one is 0.8 of it
+
+
+def test_a_simple_spectrum_has_no_peak():
+    """Where the likelihood of this short record prefers one by chance."""
+    assert motor_under(1).spectra["speed"].damping is not None
+    assert motor_under(1, is_simple=True).spectra["speed"].damping is None

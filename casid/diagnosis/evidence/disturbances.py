@@ -21,7 +21,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
-from casid.estimation.noise_response import unit_of_force
+from casid.estimation.noise_response import name_of_force, unit_of_force
 from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, difference_to_si, same_dimension
 
@@ -196,7 +196,9 @@ def p_value_of(at: Weighted, group: Collection[str]) -> float:
 
 def _noise_with(at: Weighted, stated: Mapping[str, float]) -> NoiseModel:
     """The noise of the residual at a fit, that of some sources given."""
-    known = {**at.full.known, **stated}
+    inputs = at.model.inputs
+    held = {n if n in inputs else name_of_force(n): sd for n, sd in stated.items()}
+    known = {**at.full.known, **held}
     return estimate_noise(at.criterion, at.fit.x, known=known, responses=at.full.responses)
 
 

@@ -166,17 +166,27 @@ class Weighing:
         return min((self._in_turn(model, at) for at in self._starts(found)), key=_at_point)
 
     def _starts(self, found: Weighted) -> Iterator[Weighted]:
-        """A fit, and the same with what is at its bound where the model declares it to start."""
-        yield found
+        """A fit, and the same with what is at its bound where the model declares it to start.
+
+        Each also with spectra of first order: which of the shapes is the likeliest, a taper does
+        not show where they differ in the slowest few periods of a record alone.
+        """
+        yield from self._shapes(found)
         c, x = found.criterion, found.fit.x.copy()
         for i, v in enumerate(c.variables):
             if v.source in c.model.parameters and _is_at_bound(v, float(x[i])):
                 x[i] = np.clip(c.model.parameters[v.source].start, v.lower, v.upper)
         if not np.array_equal(x, found.fit.x):
             try:
-                yield self.estimated(_moved(found.fit, c, x))
+                yield from self._shapes(self.estimated(_moved(found.fit, c, x)))
             except CasidError:  # it diverges from there
                 return
+
+    def _shapes(self, found: Weighted) -> Iterator[Weighted]:
+        """The same, and with forces of first order alone where one of them is not."""
+        yield found
+        if any(s.damping is not None for s in found.full.spectra.values()):
+            yield self.estimated(found.fit, is_simple=True)
 
     def _in_turn(self, model: Model, at: Weighted) -> Weighted:
         """The likeliest parameters, and the noise there, in turn until neither moves."""
@@ -243,9 +253,14 @@ class Weighing:
                 return None
         return None
 
-    def estimated(self, fit: Fit) -> Weighted:
-        """A fit with the noise that its residual shows."""
-        full = self.noise(fit)
+    def estimated(self, fit: Fit, *, is_simple: bool = False) -> Weighted:
+        """A fit with the noise that its residual shows.
+
+        Parameters
+        ----------
+        is_simple : no force has a spectrum with a peak.
+        """
+        full = self.noise(fit, is_simple=is_simple)
         input_sd = self.input_sd(full, fit.criterion)
         share = share_that_is_there(fit, full, input_sd, self.seed)
         input_sd = {name: share * sd for name, sd in input_sd.items()}
@@ -255,12 +270,13 @@ class Weighing:
         noise_absorbs_misfit = ratio > limit and not self.takes_disturbances
         return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
 
-    def noise(self, fit: Fit) -> NoiseModel:
-        """The noise that the residual of a fit shows."""
+    def noise(self, fit: Fit, *, is_simple: bool = False) -> NoiseModel:
+        """The noise that the residual of a fit shows; `is_simple` as in `estimated`."""
         found = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
         if not self.takes_disturbances:
             return found
-        return with_disturbance_spectra(found, fit.criterion, fit.x, self.known_noise)
+        known = self.known_noise
+        return with_disturbance_spectra(found, fit.criterion, fit.x, known, is_simple=is_simple)
 
     def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
         """Another model under the noise and the weights of one that was judged."""

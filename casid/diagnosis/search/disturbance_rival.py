@@ -81,10 +81,9 @@ def weighed_against_disturbances(
         return search, start, found
     start = replace(start, noise_absorbs_misfit=True)  # a bound may have hidden it
     found = found if found.adopted else replace(found, at=start)
-    score, is_random = math.inf, False
+    score, is_random, nothing = math.inf, False, _score(bare, (), search)
     found = _each_beside(again, found, baseline, search, settings)
     if found.adopted and found.fit is not None:
-        nothing = _score(bare, (), search)
         is_clean = not found.at.noise_absorbs_misfit
         if is_clean and _score(found.at, found.adopted, search) < nothing:
             return search, start, _charged(found, bare, search)  # likelier with no disturbance
@@ -93,9 +92,9 @@ def weighed_against_disturbances(
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(again.weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
-        may_be_random = not (_predicts(fit, baseline) or is_more_than_noise(bare, again))
-        charged = _charged(found, bare, search, beside) if may_be_random else found
-        is_random = may_be_random and nothing <= score
+        foresees = _predicts(fit, baseline)
+        charged = found if foresees else _charged(found, bare, search, beside)
+        is_random = not foresees and nothing <= score and not is_more_than_noise(bare, again)
         is_random |= all(a.p_value >= search.alpha for a in charged.adopted)
         if is_clean and not is_random:
             return search, start, charged
@@ -104,7 +103,8 @@ def weighed_against_disturbances(
     other = adopt_causes(again, bare, base, baseline.split, settings.fit)
     other = _significant(other, bare, again, bare)
     _add_refused(search, again.refused)
-    if other.fit is not None and _score(other.at, other.adopted, again) < score:
+    likelier = _score(other.at, other.adopted, again) if other.adopted else math.inf
+    if other.fit is not None and likelier < min(score, nothing):
         if is_random or not found.adopted or not is_more_than_noise(other.at, again):
             return replace(again, refused=search.refused), bare, other
     if is_random:

@@ -291,11 +291,11 @@ class _Root:
     def _of_noise(self) -> Array:
         """D V D' (n, n): what the errors of the variances of the noise give to the equations."""
         found, noise = self.found, self.found.noise
-        names = sorted({name for name, _ in noise.covariance})
-        slopes = [self._slope_by_variance(name) for name in names]
+        keys = sorted({key for key, _ in noise.covariance})
+        slopes = [self._slope_by_variance(*key) for key in keys]
         out = np.zeros((len(self.x), len(self.x)))
-        for a, one in zip(names, slopes, strict=True):
-            for b, other in zip(names, slopes, strict=True):
+        for a, one in zip(keys, slopes, strict=True):
+            for b, other in zip(keys, slopes, strict=True):
                 out += noise.covariance[a, b] * np.outer(one, other)
         for name in found.bounded:
             if found.errors[name] > 0:
@@ -303,13 +303,13 @@ class _Root:
                 out += found.errors[name] ** 2 * np.outer(slope, slope) / found.floors[name] ** 2
         return out
 
-    def _slope_by_variance(self, name: str) -> Array:
+    def _slope_by_variance(self, of: str, name: str) -> Array:
         """(n,) derivative of the equations by the variance of an output or a source of noise.
 
         The noise of the inputs that it stands for changes with it, where no bound holds them.
         """
         noise, outputs = self.found.noise, self.criterion.outputs
-        if name in outputs:
+        if of == "output":
             its = np.array([n == name for n in outputs])
             variance = float(noise.output_sd[its][0] ** 2)
             changed = [

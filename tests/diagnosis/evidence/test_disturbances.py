@@ -13,6 +13,7 @@ from casid.diagnosis.evidence.disturbances import Disturbance, disturbances_of, 
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.rate_laws import with_balances
 
 SD, Ts = 0.4, 0.05
 
@@ -131,3 +132,17 @@ def test_the_law_of_a_state_does_not_have_the_states_unit():
     """dw/dt = ... is called by its state, in rpm; a force in it is in rad/s^2."""
     wind = Disturbance("w", 0.13, "rad/s^2", 0.9)
     assert wind.in_units({"w": "rpm"}) == wind
+
+
+def test_a_force_by_the_name_of_an_output_is_tested_beside_the_outputs_noise():
+    """Held at nothing, it leaves the sensor its noise: a level that is still has no disturbance."""
+    rng = np.random.default_rng(3)
+    m = casid.Model("tank")
+    level, tau = m.state("level", "m"), m.parameter("tau", "s", start=8.0, lower=1.0)
+    m.derivative(level, -level / tau)
+    m.output("level", level, "m")
+    y = np.exp(-np.arange(300) / 8.0) + 0.005 * rng.standard_normal(300)
+    data = casid.Experiment(casid.Record({"level": y}, {"level": "m"}, Ts=1.0), {}, "r")
+    model = with_balances(m)
+    fit = minimize_simulation_error(SimulationError(model, [data]))
+    assert p_value_of(Weighing([data]).estimated(fit), ["level"]) > 0.05
