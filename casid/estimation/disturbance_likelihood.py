@@ -50,8 +50,8 @@ def likeliest(
 ) -> Array:
     """(n,) the variables that minimise (1), from `x` and the noise found there.
 
-    Samples that are missing between others are drawn, given those and the noise. The same as given
-    where most are missing, or those at an end, or where the likelihood does not rise.
+    Samples that are missing between others are drawn, given those and the noise; those at an end
+    are left out. The same as given where most are missing, or where the likelihood does not rise.
 
     Parameters
     ----------
@@ -104,17 +104,17 @@ def errors(
 def _complete(
     criterion: SimulationError, x: Array, noise: NoiseModel
 ) -> list[Signals | None] | None:
-    """The records with a draw of what they miss at `x`, None of one that is whole.
+    """The records with a draw of what they miss at `x`, None of one that misses nothing in between.
 
     None where a record cannot be completed so.
     """
     rng = np.random.default_rng(0)
     out: list[Signals | None] = []
     for e, d in enumerate(criterion.data):
-        if d.used.all():
+        if unbroken(d.used) is not None:  # of a late input the first samples are left out
             out.append(None)
             continue
-        if unbroken(d.used) is not None or d.used.mean() < FILLED_FROM:
+        if d.used.mean() < FILLED_FROM:
             return None
         at = criterion.simulated(x, e)
         y = np.where(d.used, d.y, at.y + noise.filled(at.residual, e, rng))
@@ -195,15 +195,18 @@ class _Likelihood:
         x = z[:n]
         simulated = self.criterion.simulated(x, e, signals=self.signals[e])
         stack = np.concatenate([simulated.residual[:, :, None], -simulated.jacobian], axis=2)
+        if self.signals[e] is None:
+            stack = stack[unbroken(d.used) or slice(None)]
+        N = len(stack)
         if not np.all(np.isfinite(stack)):
             return _At(np.inf, np.zeros(len(z)), np.zeros((len(z), len(z))))
-        window = np.hanning(d.N + 2)[1:-1]
+        window = np.hanning(N + 2)[1:-1]
         window = window / np.sqrt(np.sum(window**2))
-        lines = rfft(stack * window[:, None, None], axis=0)[1 : (d.N + 1) // 2]
-        edges = np.maximum(band_edges(d.N)[:-1] - 1, 0)
+        lines = rfft(stack * window[:, None, None], axis=0)[1 : (N + 1) // 2]
+        edges = np.maximum(band_edges(N)[:-1] - 1, 0)
         edges = np.unique(edges[edges < len(lines)])
         count = np.diff([*edges, len(lines)]).astype(float)
-        omega = 2 * np.pi * np.add.reduceat(np.arange(1, len(lines) + 1), edges) / (count * d.N)
+        omega = 2 * np.pi * np.add.reduceat(np.arange(1, len(lines) + 1), edges) / (count * N)
         S, slopes = self._spectra(z, e, omega)
         inverse = np.linalg.inv(S)
         _, logs = np.linalg.slogdet(S)

@@ -340,18 +340,30 @@ class Weighing:
         return value
 
 
-def minus_log_likelihood(at: Weighted) -> float:
-    """Whittle's, of the residual under the noise that the model is fitted under."""
+def minus_log_likelihood(at: Weighted, counted: SimulationError | None = None) -> float:
+    """Whittle's, of the residual under the noise that the model is fitted under.
+
+    Parameters
+    ----------
+    counted : whose samples count. Of those that the model leaves out, the first ones of a late
+        input, each counts as much as is expected of it: no model is more or less likely for that.
+    """
     if at.noise.spectra and at.unbiased is not None:
-        return _at_point(replace(at, fit=at.unbiased))
-    return _at_point(at)
+        at = replace(at, fit=at.unbiased)
+    return _at_point(at, counted)
 
 
-def _at_point(at: Weighted) -> float:
+def _at_point(at: Weighted, counted: SimulationError | None = None) -> float:
     """The same at the very fit."""
-    samples = [d.N for d in at.criterion.data]
-    logs = sum(at.noise.log_determinant(e, n) for e, n in enumerate(samples))
-    return at.fit.solution.value + 0.5 * logs
+    noise, value, data = at.noise, at.fit.solution.value, at.criterion.data
+    if counted is not None:
+        left_out = [its.used & ~d.used for its, d in zip(counted.data, data, strict=True)]
+        if any(mask.any() for mask in left_out):
+            whole = [d.used | mask for d, mask in zip(data, left_out, strict=True)]
+            noise = replace(noise, used=whole)
+            value += 0.5 * sum(int(mask.sum()) for mask in left_out)
+    logs = sum(noise.log_determinant(e, d.N) for e, d in enumerate(data))
+    return value + 0.5 * logs
 
 
 def _is_at_bound(v: Variable, value: float) -> bool:

@@ -53,6 +53,7 @@ from casid.diagnosis.search.simulation_errors import (
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import SimulationError
 
 RANDOM = "an unrecorded random disturbance explains the misfit as well"
 
@@ -72,20 +73,21 @@ def weighed_against_disturbances(
     settings.progress("compare what was found with a random disturbance in its place")
     again = search.with_disturbances()
     bare = search.under_disturbance(base)
+    score_of = partial(_score, search=search, counted=bare.criterion)
     if minus_log_likelihood(bare) > _as_white(base):
         return search, start, found
     start = replace(start, beside=bare)
     if held and (bare.unbiased is None or _is_held(bare.unbiased)):
         return search, start, _significant(found, bare, search, start)
-    if held and _score(bare, (), search) >= _score(start, (), search):
+    if held and score_of(bare) >= score_of(start):
         return search, start, found
     start = replace(start, noise_absorbs_misfit=True)  # a bound may have hidden it
     found = found if found.adopted else replace(found, at=start)
-    score, is_random, nothing = math.inf, False, _score(bare, (), search)
+    score, is_random, nothing = math.inf, False, score_of(bare)
     found = _each_beside(again, found, baseline, search, settings)
     if found.adopted and found.fit is not None:
         is_clean = not found.at.noise_absorbs_misfit
-        if is_clean and _score(found.at, found.adopted, search) < nothing:
+        if is_clean and score_of(found.at, found.adopted) < nothing:
             return search, start, _charged(found, bare, search)  # likelier with no disturbance
         fit = found.fit
         own = search.under_disturbance(fit)
@@ -103,7 +105,9 @@ def weighed_against_disturbances(
     other = adopt_causes(again, bare, base, baseline.split, settings.fit)
     other = _significant(other, bare, again, bare)
     _add_refused(search, again.refused)
-    likelier = _score(other.at, other.adopted, again) if other.adopted else math.inf
+    likelier = math.inf
+    if other.adopted:
+        likelier = _score(other.at, other.adopted, search=again, counted=bare.criterion)
     if other.fit is not None and likelier < min(score, nothing):
         if is_random or not found.adopted or not is_more_than_noise(other.at, again):
             return replace(again, refused=search.refused), bare, other
@@ -134,15 +138,18 @@ def _beside(weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted) 
     own residual suggests (`own`) leads elsewhere, it is what the effects gain under that of the
     model as it is, fitted from where they do nothing.
     """
+    of = bare.criterion
     if not bare.noise.spectra:
-        return minus_log_likelihood(own)
+        return minus_log_likelihood(own, of)
     model, values = own.model, dict(bare.fit.values)
     for a in found.adopted:
         for name, null in null_values(a.candidate).items():
             p = model.parameters[name]  # of what an input does or does not, the one alone
             values[name] = min(max(null, p.lower), p.upper)
-    gain = bare.fit.solution.value - weighing.fitted(model, bare, values).solution.value
-    return min(minus_log_likelihood(own), minus_log_likelihood(bare) - max(gain, 0.0))
+    there = replace(bare, fit=weighing.fitted(model, bare, values))
+    under_one = [minus_log_likelihood(replace(at, unbiased=None), of) for at in (bare, there)]
+    gain = max(under_one[0] - under_one[1], 0.0)
+    return min(minus_log_likelihood(own, of), minus_log_likelihood(bare) - gain)
 
 
 def _each_beside(
@@ -173,7 +180,8 @@ def _each_beside(
         if _foresees(without, fit, split) or not is_sound(without):
             return ""
         beside, instead = search.under_disturbance(fit), search.under_disturbance(without)
-        is_needed = _score(beside, [cause], search) < _score(instead, (), search)
+        score_of = partial(_score, search=search, counted=base.criterion)
+        is_needed = score_of(beside, [cause]) < score_of(instead)
         return "" if is_needed or is_more_than_noise(instead, again) else RANDOM
 
     settings.progress("compare each cause with a random disturbance in its place")
@@ -221,7 +229,7 @@ def _charged(
     if beside is None and found.at.noise_absorbs_misfit:
         own = found.at.beside or search.under_disturbance(found.fit)
         beside = _beside(search.weighing.with_disturbances(), found, own, bare)
-    left = minus_log_likelihood(found.at) if beside is None else beside
+    left = minus_log_likelihood(found.at, bare.criterion) if beside is None else beside
     gain = minus_log_likelihood(bare) - left
     effects = [a.candidate.effect for a in found.adopted]
     tested = max(len(search.first_table.tested) if search.first_table is not None else 1, 1)
@@ -233,9 +241,11 @@ def _charged(
     )
 
 
-def _score(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
+def _score(
+    at: Weighted, adopted: Sequence[Adopted] = (), *, search: Search, counted: SimulationError
+) -> float:
     """The extended Bayesian information criterion, less what all models have in common."""
-    return 2 * minus_log_likelihood(at) + _charge(at, adopted, search)
+    return 2 * minus_log_likelihood(at, counted) + _charge(at, adopted, search)
 
 
 def _charge(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:

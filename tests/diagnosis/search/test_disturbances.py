@@ -208,7 +208,7 @@ def test_what_a_disturbance_does_not_explain_makes_no_cause_that_does_not_either
     baseline = SimpleNamespace(fit=fit, start=start, split=None)
     settings = SimpleNamespace(progress=lambda _: None, fit=None)
     for name, stub in (
-        ("minus_log_likelihood", lambda at: value.get(id(at), -181.5)),
+        ("minus_log_likelihood", lambda at, _=None: value.get(id(at), -181.5)),
         ("_as_white", lambda _: 0.0),
         ("_predicts", lambda *_: foresees),
         ("is_more_than_noise", lambda *_: True),
