@@ -650,6 +650,28 @@ _PRESELECTION = f"{TESTS}/search/test_preselection.py"
 
 
 @dataclass(frozen=True, slots=True)
+class Bursts:
+    """The stretch of a record in which most of its misfit lies, at whose start jumps are tried."""
+
+    over_mean: float = _is(
+        3.0,
+        "times the mean square of the whitened residual that a burst exceeds",
+        f"{TESTS}/evidence/test_bursts.py",
+    )
+    share: float = _is(
+        0.1,
+        "of the sum of squares that it has beyond that, at least",
+        f"{TESTS}/evidence/test_bursts.py",
+        "a residual of noise has less than 0.02 in 300 samples",
+    )
+    start: float = _is(
+        0.02,
+        "of a record, within whose first part a burst is one of the initial state",
+        f"{TESTS}/evidence/test_bursts.py",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Shortlist:
     """Which effects are refitted, of all that were tested."""
 
@@ -1045,6 +1067,7 @@ COMPARISON = Comparison()
 REFITS = Refits()
 JUMPS = Jumps()
 FRICTION = Friction()
+BURSTS = Bursts()
 SHORTLIST = Shortlist()
 ROUNDS = Rounds()
 TERMS = Terms()
@@ -1074,6 +1097,7 @@ GROUPS = (
     COMPARISON,
     REFITS,
     JUMPS,
+    BURSTS,
     FRICTION,
     SHORTLIST,
     ROUNDS,
