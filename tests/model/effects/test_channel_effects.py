@@ -313,3 +313,24 @@ def test_a_gain_errs_from_the_zero_of_its_sensor_and_from_where_its_channel_stay
     points = [(e.where, e.constants.get("about", 0.0)) for e in scales]
     # The zero of a temperature scale means nothing to its sensor.
     assert points == [("a", 9.81), ("a", 0.0), ("T", 300.0)]
+
+
+def test_a_command_has_a_zero_of_its_own_where_a_constant_term_does_not_stand_for_it():
+    """Under a pressure p that changes, k (u - b) p is no flow k u p less a constant one."""
+
+    sizes = Sizes(rates={"level": 1.0}, largest={}, window=(0.0, 10.0), longest_delay=0.1)
+
+    def zeros(*flow: str) -> list[str]:
+        m = casid.Model("vessel")
+        level = m.state("level", "m")
+        u, p = m.input("u", "1", known=True), m.input("p", "1", known=True)
+        k = m.parameter("k", "m/s", start=1.0)
+        terms = {"added": k * u, "times p": k * u * p, "times level": k * u * level}
+        m.balance(level, "volume", inertia=1, terms=[terms[f] for f in flow], unit="m/s")
+        m.output("level", level, "m")
+        found = channel_effects_of(m, sizes, {})
+        return [e.where for e in found if e.kind == "sensor_bias"]
+
+    assert zeros("added") == []
+    assert zeros("times p") == ["u", "p"]
+    assert zeros("times level") == ["u"]
