@@ -166,6 +166,11 @@ class StepsInGaps:
         "largest just behind the gap",
         _STEPS_IN_GAPS,
     )
+    lost: float = _is(
+        1.5,
+        "intervals of an input on an uneven clock that a gap without a lost sample has at most",
+        _STEPS_IN_GAPS,
+    )
     rounds: int = _is(
         3, "passes over all gaps, as what an earlier one left moves the residual", _STEPS_IN_GAPS
     )
