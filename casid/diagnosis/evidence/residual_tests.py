@@ -32,6 +32,7 @@ from casid.diagnosis.evidence.signatures import Regression
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.feedback import one_sample_late
+from casid.estimation.residual_spectrum import autoregression
 
 ResidualKind = Literal[
     "noise as estimated",
@@ -125,6 +126,7 @@ def residual_tests(
     *,
     alpha: float = 0.05,
     seed: int = 0,
+    of_any_spectrum: bool = False,
 ) -> ResidualTests:
     """Test the residual of a model fitted under its noise.
 
@@ -132,6 +134,9 @@ def residual_tests(
     ----------
     recorded : channels beside the model's on which it may depend, name -> unit.
     alpha : rate at which a residual that is noise is called something else.
+    of_any_spectrum : whether the residual may be a random force of a spectrum that the noise model
+        does not have. Where it has another one, the tests in time are those of its innovations: a
+        slow force wanders, and has loud and quiet stretches, by chance.
     seed : of the antithetic draw and of the draws that give the family's threshold.
 
     Notes
@@ -164,6 +169,8 @@ def residual_tests(
     # Gaps would pass for a residual that is too small, in samples and frequencies.
     whitened = [at.noise.completed(white, k) for k, white in enumerate(whitened)]
     bands, p_spectrum = _spectrum(criterion.outputs, whitened, [d.Ts for d in criterion.data])
+    if of_any_spectrum and p_spectrum < alpha:
+        whitened = _innovations(whitened)
     p_mean, p_power, p_amplitude = _changes(
         whitened, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
     )
@@ -285,6 +292,13 @@ def _changes(whitened: Sequence[Array], simulated: Sequence[Array]) -> tuple[flo
     sd = float(np.sqrt(long_run_covariance(product, bartlett_lags(product))[0, 0]))
     p_amplitude = float(2 * norm.sf(abs(float(product.sum())) / max(sd, TINY)))
     return p_mean, p_power, p_amplitude
+
+
+def _innovations(whitened: Sequence[Array]) -> list[Array]:
+    """Residuals (N, ny) of all records, each output by an autoregression of its own."""
+    outputs = range(whitened[0].shape[1])
+    models = [autoregression([e[:, i] for e in whitened]) for i in outputs]
+    return [np.hstack([m.whiten(e[:, [i]]) for i, m in enumerate(models)]) for e in whitened]
 
 
 def _bridge(values: Array) -> float:

@@ -100,7 +100,9 @@ def _burst(tests: ResidualTests, at: Weighted) -> float:
 
 def _tests(at: Weighted, search: Search, level: float) -> ResidualTests:
     of = search.weighing
-    return residual_tests(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
+    return residual_tests(
+        at, of.experiments, search.recorded, alpha=level, seed=of.seed, of_any_spectrum=True
+    )
 
 
 def described(start: Weighted, search: Search, level: float, p_value: float) -> Remainder:
