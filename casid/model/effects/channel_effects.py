@@ -252,7 +252,8 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
     """An output that also feels another channel of its dimension: a sensor mounted askew.
 
     `source` is an output of the model (what it would show without noise), one of its inputs, or a
-    channel recorded beside the model, in `unit`.
+    channel recorded beside the model, in `unit`. A thermometer feels how far the other temperature
+    is from its own: both have a zero that means nothing to it.
     """
     own = model.outputs[channel][1]
     p = Parameter(f"cross_{channel}_{source}", unit_quotient(own, unit, 1), 0.0)
@@ -263,6 +264,7 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
             felt = new.outputs[source][0]
         else:
             felt = new.add_input(Input(source, unit, "known", "foh"))
+        felt = felt - expression if same_dimension(own, "K") else felt
         new.replace_output(channel, expression + new.symbol(names[0]) * felt, u)
 
     return Effect("cross_axis", channel, (p,), apply, priority=1)

@@ -334,3 +334,23 @@ def test_a_command_has_a_zero_of_its_own_where_a_constant_term_does_not_stand_fo
     assert zeros("added") == []
     assert zeros("times p") == ["u", "p"]
     assert zeros("times level") == ["u"]
+
+
+def test_a_thermometer_that_feels_another_place_shows_a_temperature_between_both():
+    """By a share of their difference, from whichever zero the two are counted."""
+    m = casid.Model("two rooms")
+    a, b = m.state("a", "degC", initial=20.0), m.state("b", "degC", initial=30.0)
+    G = m.constant("G", 0.0, "W/K")
+    C = m.constant("C", 1.0, "J/K")
+    m.balance(a, "first", inertia=C, terms=[G * (b - a)])
+    m.balance(b, "second", inertia=C, terms=[G * (a - b)])
+    m.output("T_a", a, "degC")
+    m.output("T_b", b, "degC")
+    felt = m.extend(cross_axis(m, "T_a", "T_b", "K"))
+    values = {"cross_T_a_T_b": 0.25}
+    record = casid.Record(
+        {"T_a": np.zeros(3), "T_b": np.zeros(3)}, {"T_a": "K", "T_b": "K"}, Ts=1.0
+    )
+    criterion = SimulationError(felt, [casid.Experiment(record, {}, "r")], weights=np.ones(2))
+    y = criterion.simulate(at(criterion, **values), 0)[0]
+    assert y[0] == pytest.approx([273.15 + 22.5, 273.15 + 30.0])
