@@ -588,7 +588,11 @@ class Jumps:
     scans: int = _is(3, "scans, each finer", POWER_STUDY)
     instants: int = _is(101, "instants of a scan", POWER_STUDY)
     zoom: float = _is(12.0, "by which the next scan is finer", POWER_STUDY)
-    fine: float = _is(50.0, "samples of reach at which the scans end", POWER_STUDY)
+    fine: float = _is(
+        5.0,
+        "samples of reach at which the scans end: a tenth of one between two instants",
+        f"{TESTS}/search/test_jump_times.py",
+    )
     knock: float = _is(
         10.0,
         "samples that a force lasts whose impulse a knock is first tried with",
