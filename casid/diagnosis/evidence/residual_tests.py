@@ -80,6 +80,7 @@ class ResidualTests:
     bands: tuple[Band, ...]
     correlated: Correlated | None  # the most significant, whether it is enough or not
     blocks: Array  # (B, 3) start, end [s, records end to end], power over the noise's
+    innovation_blocks: Array  # the same of the innovations, where they are tested in time
     p_mean: float  # that the residual's mean changes by chance
     p_power: float  # that its power changes over time by chance
     p_amplitude: float  # that its power goes with the outputs' amplitude by chance
@@ -169,10 +170,10 @@ def residual_tests(
     # Gaps would pass for a residual that is too small, in samples and frequencies.
     whitened = [at.noise.completed(white, k) for k, white in enumerate(whitened)]
     bands, p_spectrum = _spectrum(criterion.outputs, whitened, [d.Ts for d in criterion.data])
-    if of_any_spectrum and p_spectrum < alpha:
-        whitened = _innovations(whitened)
+    is_coloured = of_any_spectrum and p_spectrum < alpha
+    tested_in_time = _innovations(whitened) if is_coloured else whitened
     p_mean, p_power, p_amplitude = _changes(
-        whitened, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
+        tested_in_time, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
     )
     p_time = min(1.0, 3 * min(p_mean, p_power, p_amplitude))
     share = correlated.share if correlated is not None else 0.0
@@ -185,6 +186,7 @@ def residual_tests(
         bands=tuple(bands),
         correlated=correlated,
         blocks=_blocks(whitened, [d.Ts for d in criterion.data]),
+        innovation_blocks=_blocks(tested_in_time, [d.Ts for d in criterion.data]),
         p_mean=p_mean,
         p_power=p_power,
         p_amplitude=p_amplitude,
