@@ -37,6 +37,9 @@ class Record(RecordMethods, Presented, PickledByFields):
     missing : mapping of name to (N,) bool array
         True where the sample is to be ignored; a channel without a mask misses nothing. Samples
         that are not finite are allowed only where they are marked so.
+    late : mapping of name to (N,) array
+        By how much a sample was taken after its instant on the clock [s], where stamps run
+        unevenly; a channel without was read at its instants. A held input stepped then.
     provenance : tuple of str
         One line of text a step: file with its sha256, unit conversions, filters, windows.
 
@@ -67,6 +70,7 @@ class Record(RecordMethods, Presented, PickledByFields):
     name: str = "record"
     missing: Mapping[str, BoolArray] = field(default_factory=dict)
     provenance: tuple[str, ...] = ()
+    late: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _check_clock(self.name, self.Ts, self.t0)
@@ -91,14 +95,16 @@ class Record(RecordMethods, Presented, PickledByFields):
             )
         units = _checked_units(self.name, list(channels), self.units)
         missing = _checked_masks(self.name, channels, N, self.missing)
+        late = _checked_lateness(self.name, channels, N, self.late)
         for channel, values in channels.items():
             _refuse_non_finite(self, channel, values, missing.get(channel))
-        for array in (*channels.values(), *missing.values()):
+        for array in (*channels.values(), *missing.values(), *late.values()):
             array.flags.writeable = False
         set_field = object.__setattr__
         set_field(self, "channels", MappingProxyType(channels))
         set_field(self, "units", MappingProxyType(units))
         set_field(self, "missing", MappingProxyType(missing))
+        set_field(self, "late", MappingProxyType(late))
         set_field(self, "Ts", float(self.Ts))
         set_field(self, "t0", float(self.t0))
         set_field(self, "provenance", tuple(self.provenance))
@@ -239,6 +245,7 @@ class Record(RecordMethods, Presented, PickledByFields):
             f"window {limits} s: samples {first} to {last}",
             channels={n: v[cut] for n, v in self.channels.items()},
             missing={n: m[cut] for n, m in self.missing.items()},
+            late={n: s[cut] for n, s in self.late.items()},
             t0=self.t0 + first * self.Ts,
             name=f"{self.name}@{limits}",
         )
@@ -265,6 +272,7 @@ class Record(RecordMethods, Presented, PickledByFields):
             channels={**self.channels, channel: to_si(array, unit)},
             units={**self.units, channel: si_unit(unit)},
             missing={n: m for n, m in self.missing.items() if n != channel},
+            late={n: s for n, s in self.late.items() if n != channel},
         )
 
     def without(self, *names: str) -> Record:
@@ -283,6 +291,7 @@ class Record(RecordMethods, Presented, PickledByFields):
             channels={n: self.channels[n] for n in kept},
             units={n: self.units[n] for n in kept},
             missing={n: m for n, m in self.missing.items() if n in kept},
+            late={n: s for n, s in self.late.items() if n in kept},
         )
 
     def rename(self, names: Mapping[str, str]) -> Record:
@@ -307,6 +316,7 @@ class Record(RecordMethods, Presented, PickledByFields):
             channels={names.get(n, n): v for n, v in self.channels.items()},
             units={names.get(n, n): u for n, u in self.units.items()},
             missing={names.get(n, n): m for n, m in self.missing.items()},
+            late={names.get(n, n): s for n, s in self.late.items()},
         )
 
     def mark_missing(self, channel: str, mask: ArrayLike) -> Record:
@@ -328,6 +338,7 @@ class Record(RecordMethods, Presented, PickledByFields):
         return self._derive(
             f"{int(marks.sum())} samples of {channel} marked missing",
             missing={**self.missing, channel: marks},
+            late=self.late,
         )
 
     # ------------------------------------------------------------------ printing it
@@ -402,6 +413,19 @@ def _mask(name: str, channel: str, mask: ArrayLike, N: int) -> BoolArray:
             f"Give a bool array of shape ({N},), True where the sample is to be ignored."
         )
     return array
+
+
+def _checked_lateness(
+    name: str, channels: Mapping[str, FloatArray], N: int, late: Mapping[str, ArrayLike]
+) -> dict[str, FloatArray]:
+    shifts = {c: np.array(s, dtype=np.float64) for c, s in late.items()}
+    for channel, shift in shifts.items():
+        if channel not in channels or shift.shape != (N,) or not np.isfinite(shift).all():
+            raise DataError(
+                f"{name}: the lateness of {channel!r} has shape {shift.shape}. Give ({N},) finite "
+                f"numbers of seconds, of one of the channels {', '.join(channels)}."
+            )
+    return shifts
 
 
 def _checked_masks(

@@ -166,6 +166,11 @@ class StepsInGaps:
         "largest just behind the gap",
         _STEPS_IN_GAPS,
     )
+    lost: float = _is(
+        1.5,
+        "intervals of an input on an uneven clock that a gap without a lost sample has at most",
+        _STEPS_IN_GAPS,
+    )
     rounds: int = _is(
         3, "passes over all gaps, as what an earlier one left moves the residual", _STEPS_IN_GAPS
     )
@@ -583,7 +588,11 @@ class Jumps:
     scans: int = _is(3, "scans, each finer", POWER_STUDY)
     instants: int = _is(101, "instants of a scan", POWER_STUDY)
     zoom: float = _is(12.0, "by which the next scan is finer", POWER_STUDY)
-    fine: float = _is(50.0, "samples of reach at which the scans end", POWER_STUDY)
+    fine: float = _is(
+        5.0,
+        "samples of reach at which the scans end: a tenth of one between two instants",
+        f"{TESTS}/search/test_jump_times.py",
+    )
     knock: float = _is(
         10.0,
         "samples that a force lasts whose impulse a knock is first tried with",
@@ -647,6 +656,28 @@ class Friction:
 
 
 _PRESELECTION = f"{TESTS}/search/test_preselection.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Bursts:
+    """The stretch of a record in which most of its misfit lies, at whose start jumps are tried."""
+
+    over_mean: float = _is(
+        3.0,
+        "times the mean square of the whitened residual that a burst exceeds",
+        f"{TESTS}/evidence/test_bursts.py",
+    )
+    share: float = _is(
+        0.1,
+        "of the sum of squares that it has beyond that, at least",
+        f"{TESTS}/evidence/test_bursts.py",
+        "a residual of noise has less than 0.02 in 300 samples",
+    )
+    start: float = _is(
+        0.02,
+        "of a record, within whose first part a burst is one of the initial state",
+        f"{TESTS}/evidence/test_bursts.py",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -1045,6 +1076,7 @@ COMPARISON = Comparison()
 REFITS = Refits()
 JUMPS = Jumps()
 FRICTION = Friction()
+BURSTS = Bursts()
 SHORTLIST = Shortlist()
 ROUNDS = Rounds()
 TERMS = Terms()
@@ -1074,6 +1106,7 @@ GROUPS = (
     COMPARISON,
     REFITS,
     JUMPS,
+    BURSTS,
     FRICTION,
     SHORTLIST,
     ROUNDS,

@@ -174,6 +174,7 @@ def unexplained(
         bands=(Band("gyro", 0.3, 0.8, 4.1, 1e-9), Band("gyro", 0.8, 2.0, 1.1, 0.3)),
         correlated=None,
         blocks=np.array([[0.0, 60.0, 1.0], [60.0, 120.0, 1.4]]),
+        innovation_blocks=np.array([[0.0, 60.0, 1.0], [60.0, 120.0, 1.4]]),
         p_mean=0.7,
         p_power=0.4,
         p_amplitude=0.03,

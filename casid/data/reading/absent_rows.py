@@ -13,7 +13,7 @@ from casid.data.reading.clocks import OFF_GRID, jitter_text
 from casid.data.sampling import gaps_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
 SPARSEST = 20
 """Samples of an even clock for one row, at most: more would be a record of missing samples."""
@@ -42,6 +42,7 @@ class EvenClock:
     is_common : whether it is that of channels with clocks of their own; two rows of different
         channels may then have the same place.
     first : s from the first row's stamp to the first sample.
+    late : (rows,) s that a stamp lies after its sample; None where the clock runs evenly.
     """
 
     Ts: float
@@ -50,6 +51,7 @@ class EvenClock:
     is_finer: bool = False
     is_common: bool = False
     first: float = 0.0
+    late: FloatArray | None = None
 
     @property
     def N(self) -> int:
@@ -79,6 +81,22 @@ class EvenClock:
             channels[name] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
             masks[name] = count == 0
         return channels, masks
+
+    def lateness(
+        self, channels: Iterable[str], missing: Mapping[str, BoolArray]
+    ) -> dict[str, FloatArray]:
+        """By how much each sample was taken after its instant [s], (N,); none on an even clock.
+
+        Parameters
+        ----------
+        channels : those that are spread.
+        missing : of their rows, as `spread` takes it.
+        """
+        if self.late is None:
+            return {}
+        late = self.late
+        shifts, _ = self.spread({name: late for name in channels}, missing)
+        return {name: np.nan_to_num(shift) for name, shift in shifts.items()}
 
     def __str__(self) -> str:
         found = gaps_of(self.absent)
@@ -173,7 +191,9 @@ def _finer(times: FloatArray, own: Sequence[FloatArray]) -> EvenClock | None:
             at = np.round((times - start) / Ts).astype(np.intp)
             first = float(start - times[0] + Ts * at[0])
             kind = {"is_finer": True, "is_common": len(own) > 1}
-            best, least = EvenClock(Ts, at - at[0], max(off), first=first, **kind), shift
+            late = times - start - Ts * at
+            best = EvenClock(Ts, at - at[0], max(off), first=first, late=late, **kind)
+            least = shift
         if least <= SHIFT or len(own) == 1:
             break
     return best

@@ -442,10 +442,11 @@ def _record(
     assert times is not None
     if clock is not None:
         found.notes.append(str(clock))
+        late = clock.lateness(values, missing)
         values, missing = clock.spread(values, missing)
         steps = [*steps, f"remark: {clock}"]
         t0 = float(times[0]) + clock.first
-        return Record(values, units, clock.Ts, t0, name, missing, tuple(steps))
+        return Record(values, units, clock.Ts, t0, name, missing, tuple(steps), late)
     if resample is None:
         if text := jitter_text(times):
             found.notes.append(text)

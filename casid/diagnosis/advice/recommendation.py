@@ -198,7 +198,7 @@ def advice(
         if not rivals:
             continue
         others = either_words(a.words for a in rivals)
-        return f"To separate {c.words} from {others}: {separates(c.kind)}."
+        return f"To separate {c.words} from {others}: {separates(c.kind, c.description)}."
     return _of_a_deficient_model(causes, why_undecided, is_better, is_same, doubts)
 
 
@@ -239,21 +239,21 @@ def _of_a_deficient_model(
     if is_same:
         return (
             "Keep the present model: the extended one has the same errors. Diagnose a further "
-            f"record, best with {separates(of_model[0].kind)}."
+            f"record, best with {separates(of_model[0].kind, of_model[0].description)}."
         )
     if not is_better:
         return (
             "Keep the present model for now: the extended one fits better, but raises the error of "
             "what was held out. Diagnose a further record, best with "
-            f"{separates(causes[0].kind)}."
+            f"{separates(causes[0].kind, causes[0].description)}."
         )
     declared = declares(causes)
     if declared and all(c.kind == "hold" for c in causes):
         return f"{declared} Then diagnose again."
-    first = next((c.kind for c in causes if c.kind != "hold"), causes[0].kind)
+    first = next((c for c in causes if c.kind != "hold"), causes[0])
     return f"{declared} " * bool(declared) + (
         "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
-        f"with {separates(first)}."
+        f"with {separates(first.kind, first.description)}."
     )
 
 

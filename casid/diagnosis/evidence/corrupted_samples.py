@@ -138,24 +138,29 @@ def confirmed(
     Fast misfit, after a step of an input, may stand out like a spike until its cause is known: what
     is left of it then is compared with what it was, and with the noise that is left. The sample
     beside a step stands out as well: left out, it no longer says on which side of it the step is.
+    Those that are left beside others that are none are tested anew: a few large ones make a tail of
+    which the largest samples of mere noise are then the end.
 
     Parameters
     ----------
     onsets : instants at which an effect of that model sets in [s], on the fitted records' clock.
     """
     at = _channel(fit, split, fit.criterion.outputs.index(spikes.channel))
-    left = []
+    left, residuals = [], []
     for e, mask in enumerate(spikes.masks):
         residual = np.where(at.used[e], at.measured[e], np.nan) - at.simulated[e]
         residual[mask] = spikes.measured[e] - at.simulated[e][mask]
         height = _above_neighbours(residual, mask)
         noise = spread_of_differences(residual[np.isfinite(residual)])
         kept = (height > OUTLIERS.left * spikes.heights[e]) & (height > spikes.limit * noise)
-        if e < len(split.whole):
-            kept &= ~_beside(at.times[e], onsets)[mask]
+        beside = _beside(at.times[e], onsets if e < len(split.whole) else ())
+        kept &= ~beside[mask]
         left.append(kept)
+        residual[mask] = np.where(kept, residual[mask], np.nan)
+        residual[beside] = np.nan
+        residuals.append(residual[np.isfinite(residual)])
     count = int(sum(kept.sum() for kept in left))
-    if not count:
+    if not count or (count < spikes.count and _is_tail(spikes, residuals)):
         return None
     masks = [mask.copy() for mask in spikes.masks]
     for mask, kept in zip(masks, left, strict=True):
@@ -172,6 +177,11 @@ def confirmed(
         size=float(np.median(height)),
         energy=float(np.sum(height**2)),
     )
+
+
+def _is_tail(spikes: Spikes, residuals: Sequence[Array]) -> bool:
+    """True if residuals of another model have no spikes at the level at which these were found."""
+    return find_spikes(spikes.channel, residuals, spikes.level) is None
 
 
 def _beside(times: Array, onsets: Sequence[float]) -> Array:

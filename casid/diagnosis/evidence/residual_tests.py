@@ -32,6 +32,7 @@ from casid.diagnosis.evidence.signatures import Regression
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.feedback import one_sample_late
+from casid.estimation.residual_spectrum import autoregression
 
 ResidualKind = Literal[
     "noise as estimated",
@@ -79,6 +80,7 @@ class ResidualTests:
     bands: tuple[Band, ...]
     correlated: Correlated | None  # the most significant, whether it is enough or not
     blocks: Array  # (B, 3) start, end [s, records end to end], power over the noise's
+    innovation_blocks: Array  # the same of the innovations, where they are tested in time
     p_mean: float  # that the residual's mean changes by chance
     p_power: float  # that its power changes over time by chance
     p_amplitude: float  # that its power goes with the outputs' amplitude by chance
@@ -125,6 +127,7 @@ def residual_tests(
     *,
     alpha: float = 0.05,
     seed: int = 0,
+    of_any_spectrum: bool = False,
 ) -> ResidualTests:
     """Test the residual of a model fitted under its noise.
 
@@ -132,6 +135,9 @@ def residual_tests(
     ----------
     recorded : channels beside the model's on which it may depend, name -> unit.
     alpha : rate at which a residual that is noise is called something else.
+    of_any_spectrum : whether the residual may be a random force of a spectrum that the noise model
+        does not have. Where it has another one, the tests in time are those of its innovations: a
+        slow force wanders, and has loud and quiet stretches, by chance.
     seed : of the antithetic draw and of the draws that give the family's threshold.
 
     Notes
@@ -164,8 +170,10 @@ def residual_tests(
     # Gaps would pass for a residual that is too small, in samples and frequencies.
     whitened = [at.noise.completed(white, k) for k, white in enumerate(whitened)]
     bands, p_spectrum = _spectrum(criterion.outputs, whitened, [d.Ts for d in criterion.data])
+    is_coloured = of_any_spectrum and p_spectrum < alpha
+    tested_in_time = _innovations(whitened) if is_coloured else whitened
     p_mean, p_power, p_amplitude = _changes(
-        whitened, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
+        tested_in_time, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
     )
     p_time = min(1.0, 3 * min(p_mean, p_power, p_amplitude))
     share = correlated.share if correlated is not None else 0.0
@@ -178,6 +186,7 @@ def residual_tests(
         bands=tuple(bands),
         correlated=correlated,
         blocks=_blocks(whitened, [d.Ts for d in criterion.data]),
+        innovation_blocks=_blocks(tested_in_time, [d.Ts for d in criterion.data]),
         p_mean=p_mean,
         p_power=p_power,
         p_amplitude=p_amplitude,
@@ -285,6 +294,13 @@ def _changes(whitened: Sequence[Array], simulated: Sequence[Array]) -> tuple[flo
     sd = float(np.sqrt(long_run_covariance(product, bartlett_lags(product))[0, 0]))
     p_amplitude = float(2 * norm.sf(abs(float(product.sum())) / max(sd, TINY)))
     return p_mean, p_power, p_amplitude
+
+
+def _innovations(whitened: Sequence[Array]) -> list[Array]:
+    """Residuals (N, ny) of all records, each output by an autoregression of its own."""
+    outputs = range(whitened[0].shape[1])
+    models = [autoregression([e[:, i] for e in whitened]) for i in outputs]
+    return [np.hstack([m.whiten(e[:, [i]]) for i, m in enumerate(models)]) for e in whitened]
 
 
 def _bridge(values: Array) -> float:

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.diagnosis.evidence.bursts import burst_onset
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.noise import input_noise_floor, with_rounding
@@ -38,8 +39,18 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
         readings={n: (m.low, m.high) for n, m in readings.items()},
         levels={n: m.operating_point for n, m in readings.items() if m.operating_point},
         noise=_noise_of_inputs(at),
+        events=_events(at),
         course=lambda expression: _course(at, [s.x for s in sims], expression),
     )
+
+
+def _events(at: Weighted) -> tuple[float, ...]:
+    """The instant at which the strongest burst of the misfit begins [s], where there is one."""
+    data = at.criterion.data
+    residuals = [at.criterion.columns(at.fit.x, e)[0] for e in range(len(data))]
+    powers = [np.sum(r**2, axis=1) for r in residuals]
+    onset = burst_onset(powers, [d.t[: len(p)] for d, p in zip(data, powers, strict=True)])
+    return () if onset is None else (onset,)
 
 
 def _noise_of_inputs(at: Weighted) -> dict[str, float]:

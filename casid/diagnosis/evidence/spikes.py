@@ -39,6 +39,7 @@ class Spikes:
     heights: tuple[Array, ...] = ()  # a record (spikes,): over the mean of its neighbours
     measured: tuple[Array, ...] = ()  # a record (spikes,): what was recorded there
     limit: float = 0.0  # standard deviations of d that each of them exceeds
+    level: float = 0.05  # at which they were found
 
 
 def find_spikes(
@@ -112,6 +113,7 @@ def find_spikes(
         p_value=float(min(1.0, max(p, TINY))),
         heights=tuple(heights),
         limit=threshold,
+        level=alpha,
     )
 
 

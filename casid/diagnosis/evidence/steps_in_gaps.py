@@ -12,7 +12,7 @@ gap. The input is then filled accordingly.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,7 +69,7 @@ def _filled(
 ) -> tuple[Experiment, int]:
     """An experiment with the steps of its held inputs where they fit best, and how many moved."""
     model = fit.criterion.model
-    steps = _steps_of(fit, d)
+    steps = _steps_of(fit, d, experiment.record.late)
     if not steps or not (np.all(np.isfinite(y)) and np.all(np.isfinite(x))):
         return experiment, 0
     residual = np.where(d.used, d.y - y, np.nan)
@@ -108,8 +108,14 @@ def _filled(
     return with_columns(experiment, columns, [note]), moved
 
 
-def _steps_of(fit: Fit, d: Signals) -> list[_Step]:
-    """Gaps of held inputs with another value behind them than before, in the order of time."""
+def _steps_of(fit: Fit, d: Signals, late: Collection[str]) -> list[_Step]:
+    """Gaps of held inputs with another value behind them than before, in the order of time.
+
+    Parameters
+    ----------
+    late : inputs whose stamps run unevenly: between two of them no sample is lost, unless they are
+        far apart.
+    """
     model = fit.criterion.model
     out = []
     for i, name in enumerate(model.inputs):
@@ -117,8 +123,13 @@ def _steps_of(fit: Fit, d: Signals) -> list[_Step]:
             continue
         if is_busy(d.u[:, i], d.filled[name]):
             continue
+        longest = 0.0
+        if name in late:
+            there = np.flatnonzero(~d.filled[name])
+            longest = STEPS_IN_GAPS.lost * float(np.median(np.diff(there)))
         for first, stop in zip(*stretches_of(d.filled[name]), strict=True):
-            if 0 < first and stop < d.N and d.u[first - 1, i] != d.u[stop, i]:
+            is_lost = stop - first + 1 > longest
+            if is_lost and 0 < first and stop < d.N and d.u[first - 1, i] != d.u[stop, i]:
                 out.append(_Step(name, int(first), int(stop)))
     return sorted(out, key=lambda step: step.first)
 

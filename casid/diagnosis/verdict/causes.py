@@ -67,15 +67,19 @@ def causes_of(
 
 
 def remainders_of(found: Findings) -> tuple[Cause, ...]:
-    """What is significant but explains too little to be a cause, with sizes as first fitted.
+    """What is significant but explains too little to be a cause, with its size in the last fit.
 
-    Of what nobody would see, only that which stays in the extended model for the causes' sizes.
+    What the extended model leaves out has its size as first fitted. Of what nobody would see, only
+    that which stays in the extended model for the causes' sizes.
     """
     out = []
+    last = found.best_fit
     for a in sorted(found.remainders, key=lambda a: -a.share):
-        if a.share < JUDGING.visible and a.candidate.names[0] not in found.best_fit.criterion.names:
+        if a.share < JUDGING.visible and a.candidate.names[0] not in last.criterion.names:
             continue
         effect, values = a.candidate.effect, found_values(a.candidate)
+        named = zip(effect.parameters, a.candidate.names, strict=True)
+        values |= {p.name: last.values[name] for p, name in named if name in last.criterion.names}
         out.append(
             Cause(
                 kind=effect.kind,

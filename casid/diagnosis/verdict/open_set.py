@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from casid.arrays import TINY
+from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.disturbances import Disturbance, disturbances_of
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import (
@@ -87,12 +87,16 @@ def _burst(tests: ResidualTests, at: Weighted) -> float:
     """p that one stretch is by chance as much louder than the others as the loudest is.
 
     1 where none is `DESCRIPTION.loud`. A stretch has no more independent samples than the spread
-    of most of them shows.
+    of most of them shows. Loud is what is so in the residual and in its innovations.
     """
-    power = tests.blocks[:, 2] / np.median(tests.blocks[:, 2])
+    return max(_loudest(blocks, at) for blocks in (tests.blocks, tests.innovation_blocks))
+
+
+def _loudest(blocks: Array, at: Weighted) -> float:
+    power = blocks[:, 2] / np.median(blocks[:, 2])
     spread = 1.4826 * float(np.median(np.abs(power - 1.0)))
     Ts = at.criterion.data[0].Ts
-    count = (tests.blocks[:, 1] - tests.blocks[:, 0]) / Ts * len(at.criterion.outputs)
+    count = (blocks[:, 1] - blocks[:, 0]) / Ts * len(at.criterion.outputs)
     count = np.minimum(count, 2.0 / max(spread**2, TINY))
     p = len(power) * chi2.sf(power * count, count)
     return float(np.min(np.where(power > DESCRIPTION.loud, p, 1.0)))
@@ -100,7 +104,9 @@ def _burst(tests: ResidualTests, at: Weighted) -> float:
 
 def _tests(at: Weighted, search: Search, level: float) -> ResidualTests:
     of = search.weighing
-    return residual_tests(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
+    return residual_tests(
+        at, of.experiments, search.recorded, alpha=level, seed=of.seed, of_any_spectrum=True
+    )
 
 
 def described(start: Weighted, search: Search, level: float, p_value: float) -> Remainder:

@@ -17,6 +17,7 @@ from casid.estimation.noise_response import unit_of_force
 from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import (
+    BESIDE_ITS_ZERO,
     FLOW,
     OVERFLOW,
     effect_words,
@@ -153,6 +154,8 @@ def says(effect: Effect, column: str = "") -> str:
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
     if effect.kind in ("offset", "sensor_bias") and effect.is_on_the_clock:
         return effect.description
+    if effect.kind == "sensor_bias" and effect.description == BESIDE_ITS_ZERO:
+        return f"the command {effect.where} {effect.description}"
     if effect.kind == "parameter_drift" and "stop" in effect.constants:
         start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
         change = f"its change is that from {start} to {stop}, its value the one in the middle"
@@ -196,8 +199,15 @@ def declares(causes: Sequence[Cause]) -> str:
     return f"Declare {' and '.join(each)} in the problem file: no equation changes."
 
 
-def separates(kind: str) -> str:
-    """The experiment that separates a kind from its rivals; of a user's kind, that of any shape."""
+def separates(kind: str, description: str = "") -> str:
+    """The experiment that separates a kind from its rivals; of a user's kind, that of any shape.
+
+    Parameters
+    ----------
+    description : of the cause: a command that acts beside its zero has no sensor to turn over.
+    """
+    if description == BESIDE_ITS_ZERO:
+        return "the command held at several values, with the actuator's own position recorded"
     return _SEPARATES.get(kind, _SEPARATES["unknown"])
 
 

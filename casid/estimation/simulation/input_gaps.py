@@ -32,6 +32,8 @@ def filled(record: Record, name: str, hold: Hold) -> Array:
     """(N,) samples of an input, missing ones as `hold` has it: the last value, or a straight line.
 
     At the beginning of the record the first value stands for those before it, at its end the last.
+    A held input that steps between two instants has in the sample of that interval its mean over
+    it: what flows in while it acts is then what did.
     """
     if name not in record.missing or not record.missing[name].any():
         return record[name]
@@ -39,7 +41,17 @@ def filled(record: Record, name: str, hold: Hold) -> Array:
         return record.filled(name)
     there = ~record.missing[name]
     last = np.maximum.accumulate(np.where(there, np.arange(record.N), -1))
-    return np.asarray(record[name][np.where(last < 0, np.argmax(there), last)])
+    held = np.asarray(record[name][np.where(last < 0, np.argmax(there), last)])
+    return held if name not in record.late else _stepping_late(held, record, name)
+
+
+def _stepping_late(held: Array, record: Record, name: str) -> Array:
+    """A held input (N,) whose steps are where its samples were taken, beside their instants."""
+    step = np.diff(held, prepend=held[:1])
+    late = record.late[name] / record.Ts
+    after = np.maximum(late, 0.0) * step  # of the interval that the step's sample begins
+    before = np.maximum(-late, 0.0) * step  # of the one that it ends
+    return np.asarray(held - after + np.append(before[1:], 0.0))
 
 
 def recorded_inputs(model: Model, record: Record) -> list[str]:

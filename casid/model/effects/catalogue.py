@@ -244,17 +244,17 @@ def _parameter_variations(
     model: Model, sizes: Sizes, recorded: Mapping[str, str]
 ) -> Iterator[Effect]:
     """Jumps, drifts and schedules of parameters that a record may determine, and of constants."""
-    times = jump_times(sizes.window)
+    times = [*jump_times(sizes.window), *sizes.events]
     for name, p in model.parameters.items():
         if p.is_constant:
             continue
-        yield from (parameter_jump(model, name, float(t)) for t in times)
+        yield from (parameter_jump(model, name, t) for t in times)
         if p.is_known and p.value == 0.0:
             continue  # what is not there does not vary
         yield parameter_drift(model, name, sizes.window)
         for c, spread in sizes.channels.items():
             if not is_constant_term(model, name):
                 yield scheduled_parameter(model, name, c, recorded[c], spread)
-    yield from clock_effects_of(model, sizes.window)
+    yield from clock_effects_of(model, sizes.window, sizes.events)
     yield from input_schedules_of(model, sizes)
     yield from state_schedules_of(model, sizes)

@@ -11,14 +11,14 @@ from casid.errors import ModelError, UnitError
 from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Sizes, switched_on
-from casid.model.effects.names import ACTS_LATE, LATER_THAN_RECORDED, RECORDED_LATE
+from casid.model.effects.names import ACTS_LATE, BESIDE_ITS_ZERO, LATER_THAN_RECORDED, RECORDED_LATE
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
 
 
 def sensor_bias(model: Model, channel: str) -> Effect:
-    """A constant added to a measured output or input."""
+    """A constant added to a measured output or input; a known input acts beside its zero by it."""
     if channel in model.outputs:
         unit = model.outputs[channel][1]
 
@@ -35,7 +35,9 @@ def sensor_bias(model: Model, channel: str) -> Effect:
 
         priority = 2
     p = Parameter(f"bias_{channel}", unit, 0.0)
-    return Effect("sensor_bias", channel, (p,), apply, priority=priority)
+    is_command = channel in model.inputs and model.inputs[channel].kind == "known"
+    does = BESIDE_ITS_ZERO if is_command else ""
+    return Effect("sensor_bias", channel, (p,), apply, priority=priority, description=does)
 
 
 def time_delay(model: Model, channel: str, longest: float) -> Effect:
@@ -250,7 +252,8 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
     """An output that also feels another channel of its dimension: a sensor mounted askew.
 
     `source` is an output of the model (what it would show without noise), one of its inputs, or a
-    channel recorded beside the model, in `unit`.
+    channel recorded beside the model, in `unit`. A thermometer feels how far the other temperature
+    is from its own: both have a zero that means nothing to it.
     """
     own = model.outputs[channel][1]
     p = Parameter(f"cross_{channel}_{source}", unit_quotient(own, unit, 1), 0.0)
@@ -261,6 +264,7 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
             felt = new.outputs[source][0]
         else:
             felt = new.add_input(Input(source, unit, "known", "foh"))
+        felt = felt - expression if same_dimension(own, "K") else felt
         new.replace_output(channel, expression + new.symbol(names[0]) * felt, u)
 
     return Effect("cross_axis", channel, (p,), apply, priority=1)
@@ -401,7 +405,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
     effects += [sensor_scale(model, channel) for channel in _commands_beside_others(model)]
-    effects += [sensor_bias(model, channel) for channel in _commands_of_several_rates(model)]
+    effects += [sensor_bias(model, channel) for channel in _commands_with_a_zero(model)]
     beside = units | dict(recorded)
     for channel, (_, own) in model.outputs.items():
         effects += [
@@ -426,19 +430,22 @@ def _commands_beside_others(model: Model) -> list[str]:
     return [n for n in inputs if model.inputs[n].kind == "known"] if len(inputs) > 1 else []
 
 
-def _commands_of_several_rates(model: Model) -> list[str]:
-    """Inputs that are known and act in several equations: a wheel that steers beside its zero.
+def _commands_with_a_zero(model: Model) -> list[str]:
+    """Inputs that are known, and whose zero no constant term of one equation stands for.
 
-    Of one that acts in a single equation a constant term there tells as much.
+    They act in several equations, as a wheel that steers beside its zero, or by a gain that a
+    signal changes, as the opening of a valve does by the pressure before it.
     """
     rows = [b.total for b in model.balances.values()]
     rows += [*model._rates.values(), *(e for e, _ in model.outputs.values())]
+    signals = ca.vertcat(*(model.symbol(n) for n in (*model.states, *model.inputs)))
 
-    def acts(name: str) -> list[bool]:
-        return [any(ca.which_depends(ca.SX(r), model.symbol(name))) for r in rows]
+    def has_a_zero(name: str) -> bool:
+        gains = [ca.jacobian(ca.SX(row), model.symbol(name)) for row in rows]
+        inside = [g for g in gains if g.nnz() and not g.is_zero()]
+        return len(inside) > 1 or any(any(ca.which_depends(g, signals)) for g in inside)
 
-    known = [n for n, u in model.inputs.items() if u.kind == "known"]
-    return [n for n in known if sum(acts(n)) > 1]
+    return [n for n, u in model.inputs.items() if u.kind == "known" and has_a_zero(n)]
 
 
 def _is_alike(unit: str, other: str) -> bool:

@@ -90,14 +90,22 @@ def at_instant(effect: Effect, model: Model, time: float) -> Effect:
     return {"offset": offset_step, "sensor_bias": bias_step}[effect.kind](model, effect.where, time)
 
 
-def clock_effects_of(model: Model, window: tuple[float, float]) -> Iterator[Effect]:
+def clock_effects_of(
+    model: Model, window: tuple[float, float], events: Sequence[float] = ()
+) -> Iterator[Effect]:
     """Steps of forces and of biases, and drifts of biases, of outputs and measured inputs.
 
     A knock is none of them: the search puts it in the place of a force that sets in.
+
+    Parameters
+    ----------
+    window : the fitted part, in seconds of the record's clock.
+    events : instants beside those that are evenly inside the window [s].
     """
-    biases = jump_times(window, PARAMETER_JUMPS.times_of_biases)
+    biases = [*jump_times(window, PARAMETER_JUMPS.times_of_biases), *events]
+    forces = [*jump_times(window), *events]
     for balance in model.balances:
-        yield from (offset_step(model, balance, t) for t in jump_times(window))
+        yield from (offset_step(model, balance, t) for t in forces)
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         yield from (bias_step(model, channel, t) for t in biases)

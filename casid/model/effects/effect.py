@@ -208,6 +208,7 @@ class Sizes:
     readings: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each channel
     levels: Mapping[str, float] = field(default_factory=dict)  # channel -> its operating point
     noise: Mapping[str, float] = field(default_factory=dict)  # input -> bound on its white noise
+    events: tuple[float, ...] = ()  # s, at which a misfit begins
 
     def motion_of(self, expression: Any) -> Motion:
         """How an expression of states and inputs moves in the simulation.

@@ -45,6 +45,9 @@ LATER_THAN_RECORDED = "acts later than it is recorded"
 RECORDED_LATE = "is recorded later than it acts"
 """What a measured input does: the system is late, or its sensor is. The one undoes the other."""
 
+BESIDE_ITS_ZERO = "acts beside its zero"
+"""What a command does whose bias is no sensor's."""
+
 ADVANCE = "an advance"
 """What a delay that is turned round is."""
 

@@ -108,3 +108,28 @@ def test_power_that_doubles_halfway_is_seen_and_steady_power_is_not():
     assert _bridge(e**2) > 0.01
     e[1000:] *= np.sqrt(2.0)
     assert _bridge(e**2) < 1e-6
+
+
+def test_a_slow_random_force_wanders_without_changing_in_time():
+    """Its mean and power seem to change to tests that take it for white, not in its innovations."""
+    m = casid.Model("lag")
+    x, u = m.state("x", "1"), m.input("u", "1", hold="zoh", known=True)
+    m.balance(x, "charge", inertia=m.parameter("tau", "s", start=0.9), terms=[u - x], unit="1")
+    m.output("y", x, "1")
+    plain, innovations = 0, 0
+    for seed in range(4):
+        rng, decay, stays = np.random.default_rng(seed), np.exp(-0.05), np.exp(-0.05 / 10.0)
+        command = np.repeat(rng.uniform(-1, 1, 30), 40)
+        state = force = 0.0
+        y = np.empty(1200)
+        for k, level in enumerate(command.tolist()):
+            y[k] = state + 0.05 * rng.standard_normal()
+            state = level + force + (state - level - force) * decay
+            force = stays * force + 0.01 * rng.standard_normal()
+        record = casid.Record({"u": command, "y": y}, {"u": "1", "y": "1"}, Ts=0.05)
+        made = [casid.Experiment(record, {}, "r")]
+        at = Weighing(made).weigh(m, fit_model(m, made, casid.FitSettings(starts=1)))
+        plain += residual_tests(at, made, seed=seed).p_time < 0.01
+        innovations += residual_tests(at, made, seed=seed, of_any_spectrum=True).p_time < 0.01
+    assert plain == 4
+    assert innovations <= binom.ppf(0.995, 4, 0.01)

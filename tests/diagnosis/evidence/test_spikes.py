@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from casid.diagnosis.evidence.corrupted_samples import _above_neighbours, _beside
+from casid.diagnosis.evidence.corrupted_samples import _above_neighbours, _beside, _is_tail
 from casid.diagnosis.evidence.spikes import (
     _fourth_moment,
     _from_neighbours,
@@ -192,3 +192,17 @@ def test_samples_on_either_side_of_an_onset_are_beside_it():
     times = 100.0 + 2.0 * np.arange(6)
     assert list(times[_beside(times, [105.3, 110.0])]) == [104.0, 106.0, 108.0, 110.0]
     assert not _beside(times, []).any()
+
+
+def test_what_a_jump_explains_makes_no_spikes_of_the_tail_of_noise():
+    """Beside two samples of 6 sd the largest of 3000 of noise are a third; alone it is none."""
+    r, at = np.random.default_rng(2).standard_normal(3000), np.array([1500, 1502])
+    alone = np.delete(r, at)
+    r[at] += [6.0, -6.0]
+    found = find_spikes("y", [r], 0.01)
+    assert found is not None
+    assert found.count > 2
+    assert found.level == 0.01
+    assert _is_tail(found, [alone])
+    alone[700] += 9.0
+    assert not _is_tail(found, [alone])

@@ -44,3 +44,28 @@ def test_a_jump_in_the_second_record_is_found_where_it_is():
     assert found["time"].value == pytest.approx(JUMP, abs=3 * TS)
     jump = found["jump_k"]
     assert jump.value == pytest.approx(0.3, abs=3 * jump.std_error)
+
+
+def test_the_instant_is_placed_to_a_fraction_of_a_sample():
+    """A tenth of a sample is made up for by the size of the jump, by much of its standard error.
+
+    A step that is held sets in half a sample before the first sample of which it is all.
+    """
+    rng, Ts, N = np.random.default_rng(6), 0.02, 2000
+    q = np.repeat(rng.uniform(0.0, 1.0, 40), 50)
+    level, h = np.empty(N), 1.0
+    for i, inflow in enumerate(q):
+        level[i] = h
+        k = 3.0 if i < 1531 else 4.5
+        h = inflow / k + (h - inflow / k) * np.exp(-k * Ts)
+    level += 2e-5 * rng.standard_normal(N)
+    record = casid.Record({"q": q, "level": level}, {"q": "m/s", "level": "m"}, Ts=Ts, name="run")
+    others = (
+        "sensor_bias sensor_scale offset hold time_delay actuator_lag sensor_lag missing_mode "
+        "scheduled_parameter parameter_drift periodic_disturbance quadratic_damping cubic_damping "
+        "unknown end_stop saturation outliers actuator_saturation rectified"
+    ).split()
+    d = casid.diagnose(leak(), record, hold_out=0, max_causes=1, advise=False, without=others)
+    found = {p.name: p for p in d.causes[0].parameters}
+    assert found["time"].value == pytest.approx(1530.5 * Ts, abs=0.05 * Ts)
+    assert found["jump_k"].value == pytest.approx(1.5, abs=3 * found["jump_k"].std_error)

@@ -97,6 +97,10 @@ def test_a_remainder_that_nobody_would_see_is_listed_only_where_the_model_has_it
         findings.remainders = (tiny,)
     assert remainders_of(lean) == ()
     assert [c.kind for c in remainders_of(full)] == ["quadratic_damping"]
+    # Its size is the one that it has beside the causes found after it.
+    values = {**second.fit.values, "d_2": 0.004}
+    full.best_fit = SimpleNamespace(criterion=second.fit.criterion, values=values)
+    assert [p.value for c in remainders_of(full) for p in c.parameters] == [0.004]
 
 
 def test_of_two_that_do_the_same_one_stays_though_each_is_small_beside_the_other():

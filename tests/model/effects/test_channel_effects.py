@@ -313,3 +313,44 @@ def test_a_gain_errs_from_the_zero_of_its_sensor_and_from_where_its_channel_stay
     points = [(e.where, e.constants.get("about", 0.0)) for e in scales]
     # The zero of a temperature scale means nothing to its sensor.
     assert points == [("a", 9.81), ("a", 0.0), ("T", 300.0)]
+
+
+def test_a_command_has_a_zero_of_its_own_where_a_constant_term_does_not_stand_for_it():
+    """Under a pressure p that changes, k (u - b) p is no flow k u p less a constant one."""
+
+    sizes = Sizes(rates={"level": 1.0}, largest={}, window=(0.0, 10.0), longest_delay=0.1)
+
+    def zeros(*flow: str) -> list[str]:
+        m = casid.Model("vessel")
+        level = m.state("level", "m")
+        u, p = m.input("u", "1", known=True), m.input("p", "1", known=True)
+        k = m.parameter("k", "m/s", start=1.0)
+        terms = {"added": k * u, "times p": k * u * p, "times level": k * u * level}
+        m.balance(level, "volume", inertia=1, terms=[terms[f] for f in flow], unit="m/s")
+        m.output("level", level, "m")
+        found = channel_effects_of(m, sizes, {})
+        return [e.where for e in found if e.kind == "sensor_bias"]
+
+    assert zeros("added") == []
+    assert zeros("times p") == ["u", "p"]
+    assert zeros("times level") == ["u"]
+
+
+def test_a_thermometer_that_feels_another_place_shows_a_temperature_between_both():
+    """By a share of their difference, from whichever zero the two are counted."""
+    m = casid.Model("two rooms")
+    a, b = m.state("a", "degC", initial=20.0), m.state("b", "degC", initial=30.0)
+    G = m.constant("G", 0.0, "W/K")
+    C = m.constant("C", 1.0, "J/K")
+    m.balance(a, "first", inertia=C, terms=[G * (b - a)])
+    m.balance(b, "second", inertia=C, terms=[G * (a - b)])
+    m.output("T_a", a, "degC")
+    m.output("T_b", b, "degC")
+    felt = m.extend(cross_axis(m, "T_a", "T_b", "K"))
+    values = {"cross_T_a_T_b": 0.25}
+    record = casid.Record(
+        {"T_a": np.zeros(3), "T_b": np.zeros(3)}, {"T_a": "K", "T_b": "K"}, Ts=1.0
+    )
+    criterion = SimulationError(felt, [casid.Experiment(record, {}, "r")], weights=np.ones(2))
+    y = criterion.simulate(at(criterion, **values), 0)[0]
+    assert y[0] == pytest.approx([273.15 + 22.5, 273.15 + 30.0])
