@@ -460,6 +460,7 @@ class Leaving:
         return noisy(seed)
 
 
+@pytest.mark.slow
 def test_a_cluster_that_loses_its_last_worker_ends_the_campaign_resumably(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -109,6 +109,7 @@ def test_nothing_sets_in_where_nothing_does(seed):
     assert casid.diagnose(slide(), record(seed=seed), advise=False).verdict == "adequate"
 
 
+@pytest.mark.slow
 def test_the_extended_model_begins_the_load_when_the_record_did(tmp_path):
     """The problem file of the extended model finds nothing missing, and the load by its size."""
     found = of_a_load_that_sets_in()

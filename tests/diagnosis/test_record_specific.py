@@ -74,6 +74,7 @@ def test_sizes_that_differ_are_said_for_each_record():
         assert size.std_error < 0.2
 
 
+@pytest.mark.slow
 def test_sizes_of_single_records_stand_in_the_json_and_in_the_text():
     d = diagnosed(1.0, 2.0)
     (cause,) = d.to_json()["causes"]

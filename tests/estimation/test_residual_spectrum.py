@@ -230,6 +230,7 @@ def test_outputs_of_two_rates_have_a_spectrum_each() -> None:
         assert estimate.parameter(f"k_{name}").std_error == pytest.approx(error, rel=3 * 0.1)
 
 
+@pytest.mark.slow
 def test_bootstrapped_intervals_of_a_record_with_gaps_are_those_of_the_standard_error() -> None:
     """Noise is drawn with the colour of the residual there, too: white noise gives a third.
 

@@ -83,6 +83,7 @@ def test_the_rounding_of_a_rudder_is_no_dry_friction():
     assert found.noise["rudder"] == "white input noise 504 µrad"  # 0.1 degrees over sqrt(12)
 
 
+@pytest.mark.slow
 def test_beside_it_a_cause_has_its_size():
     found = casid.diagnose(nomoto(), turning(quadratic=40.0), advise=False)
     assert [c.kind for c in found.causes] == ["quadratic_damping"]

@@ -66,6 +66,7 @@ def test_durations_that_are_none_are_refused(given: Any) -> None:
         ends_of(given)
 
 
+@pytest.mark.slow
 def test_the_shortest_record_names_the_cause_and_a_shorter_one_does_not() -> None:
     arguments = (
         spring(y=0.008),

@@ -95,6 +95,7 @@ def test_an_input_that_would_make_the_sensor_jump_is_refused() -> None:
         casid.design_experiment(pendulum(), Aim.estimate(), LIMITS, 6.0, shape="constant", **SMALL)
 
 
+@pytest.mark.slow
 def test_two_causes_are_separated_through_the_indirect_model() -> None:
     runs = 20
     found = casid.design_experiment(

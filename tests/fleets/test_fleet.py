@@ -108,6 +108,7 @@ def test_the_same_call_again_does_nothing_and_changes_nothing(
     assert contents(heaters / "out") == before
 
 
+@pytest.mark.slow
 def test_the_table_is_the_same_on_two_processes(done: casid.Fleet, heaters: Path) -> None:
     with joblib.parallel_config(n_jobs=2):
         run(heaters, heaters / "two")

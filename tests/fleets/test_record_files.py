@@ -70,6 +70,7 @@ def test_a_folder_of_an_address_is_that_of_the_machine(records: Path) -> None:
     assert [f.place for f in found] == [f.place for f in files_of(records)]
 
 
+@pytest.mark.slow
 def test_a_fleet_behind_an_address_has_the_rows_of_one_on_this_machine(records: Path) -> None:
     pytest.importorskip("fsspec")
     problem = write_problem(records.parent)

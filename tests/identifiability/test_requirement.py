@@ -113,6 +113,7 @@ def test_the_nine_parameters_of_the_ship_are_refused_with_what_does_not_change(n
     assert "give one of them a known value" in text
 
 
+@pytest.mark.slow
 def test_records_without_their_load_case_are_refused_with_how_to_name_it(no_fit):
     """One record of a problem with load cases, none named: of eight parameters it tells five."""
     (e,) = ship.experiments(("loaded",), duration=1.0)

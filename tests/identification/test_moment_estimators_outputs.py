@@ -69,6 +69,7 @@ def record(seed: int, N: int = 8000, noise: tuple[float, float] = (1e-3, 4e-3)) 
 INSTRUMENTS = Instruments({"F": "F"}, n_delta=0, n_y=5, n_u=0)
 
 
+@pytest.mark.slow
 def test_two_outputs_tell_more_than_either_and_their_errors_cover() -> None:
     """Each output its own equation and noise level. 40 runs: 38 inside on average, sd 1.4; four
     of them allowed."""

@@ -61,6 +61,7 @@ def test_the_noise_of_one_output_does_not_hide_what_another_one_shows() -> None:
     assert not estimate.fit.coloured
 
 
+@pytest.mark.slow
 def test_estimates_scatter_as_their_errors_say() -> None:
     z = []
     for seed in range(30):

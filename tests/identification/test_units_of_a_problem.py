@@ -158,6 +158,7 @@ def test_known_values_and_starts_are_in_the_declared_units():
     assert known["m"] == 2000.0
 
 
+@pytest.mark.slow
 def test_the_verdict_is_that_in_si_and_its_numbers_are_converted():
     units = {n: u[1] for n, u in OTHERS.items()}
     rubbed = record(friction=2.5)

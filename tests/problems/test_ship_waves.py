@@ -107,6 +107,7 @@ def test_the_elevation_is_the_sum_of_its_waves():
     )
 
 
+@pytest.mark.slow
 def test_the_spectrum_of_the_elevation_lies_in_its_confidence_band():
     """Windowed periodograms of K Gaussian seas: K I/E(I) is chi2_2K/2 at each frequency.
 

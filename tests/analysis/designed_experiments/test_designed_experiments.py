@@ -116,6 +116,7 @@ def test_more_time_and_a_known_ship_make_a_load_better_known() -> None:
     assert np.all(known < np.diag(np.linalg.inv(both))[:2])
 
 
+@pytest.mark.slow
 def test_the_best_calibration_is_no_worse_than_the_thesis_s() -> None:
     thesis, best = ship.calibration()
     assert sum(best.seconds) == pytest.approx(ship.TOTAL)

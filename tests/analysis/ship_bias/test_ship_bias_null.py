@@ -84,6 +84,7 @@ def test_alarms_on_records_without_an_effect_are_no_more_than_stated():
     assert alarms <= binom.ppf(0.995, RECORDS, RATE)
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_inputs_has_no_part_in_the_estimate_that_is_tested():
     """K_vdot, the weakest, is off by some 70 % in least squares: noise on its regressor does it.
 

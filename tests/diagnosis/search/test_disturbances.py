@@ -96,6 +96,7 @@ def test_a_drag_is_named_in_a_sea() -> None:
     assert [x.where for x in found.disturbances] == ["moment"]
 
 
+@pytest.mark.slow
 def test_a_drag_stays_named_in_a_sea_of_which_more_can_be_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -274,6 +274,7 @@ def test_few_iterations_and_missing_plug_ins_are_reasons():
         comparison["daqp"]
 
 
+@pytest.mark.slow
 def test_a_solver_that_never_stops_is_stopped_and_the_next_one_runs():
     nlp, values = pendulum(is_lifted=False)
     endless = Solver("sqpmethod", max_iterations=10**9, options={"min_iter": 10**9})
