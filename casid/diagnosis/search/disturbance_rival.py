@@ -101,13 +101,8 @@ def weighed_against_disturbances(
         if is_clean and not is_random:
             return search, start, charged
         found = charged
-    settings.progress("treat the remainder as a disturbance, and test every effect in its presence")
-    other = adopt_causes(again, bare, base, baseline.split, settings.fit)
-    other = _significant(other, bare, again, bare)
+    other, likelier = _searched_beside(again, bare, baseline, settings)
     _add_refused(search, again.refused)
-    likelier = math.inf
-    if other.adopted:
-        likelier = _score(other.at, other.adopted, search=again, counted=bare.criterion)
     if other.fit is not None and likelier < min(score, nothing):
         if is_random or not found.adopted or not is_more_than_noise(other.at, again):
             return replace(again, refused=search.refused), bare, other
@@ -115,6 +110,18 @@ def weighed_against_disturbances(
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
         return search, start, Adoption((), start, None)
     return search, start, found
+
+
+def _searched_beside(
+    again: Search, bare: Weighted, baseline: Baseline, settings: DiagnosisSettings
+) -> tuple[Adoption, float]:
+    """What a search finds beside disturbances, and its score: infinite where that is nothing."""
+    settings.progress("treat the remainder as a disturbance, and test every effect in its presence")
+    other = adopt_causes(again, bare, baseline.fit, baseline.split, settings.fit)
+    other = _significant(other, bare, again, bare)
+    if not other.adopted:
+        return other, math.inf
+    return other, _score(other.at, other.adopted, search=again, counted=bare.criterion)
 
 
 def _as_white(fit: Fit) -> float:
