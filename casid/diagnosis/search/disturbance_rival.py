@@ -94,9 +94,9 @@ def weighed_against_disturbances(
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(again.weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
-        foresees = _predicts(fit, baseline)
-        charged = found if foresees else _charged(found, bare, search, beside)
-        is_random = not foresees and nothing <= score and not is_more_than_noise(bare, again)
+        may_be_random = not (_predicts(fit, baseline) or is_more_than_noise(bare, again))
+        charged = _charged(found, bare, search, beside) if may_be_random else found
+        is_random = may_be_random and nothing <= score
         is_random |= all(a.p_value >= search.alpha for a in charged.adopted)
         if is_clean and not is_random:
             return search, start, charged

@@ -294,7 +294,7 @@ class Refinement:
             candidates += [c for c in self.search.first_candidates if c.effect.where == own.where]
         count = 0
         for c in candidates:
-            may_be = c.effect.kind != "unknown" or is_limit
+            may_be = c.effect.kind != "unknown" or is_limit and c.effect.is_unnamed
             is_new = c.effect.key not in taken and may_be and not is_imitator(c)
             # Near one level a constant fits as well as the law whose tangent it is.
             is_tangent = own.kind == "unknown" and not own.is_unnamed and c.effect.kind in TANGENTS

@@ -139,10 +139,7 @@ class Effect:
 
     @property
     def is_unnamed(self) -> bool:
-        """True for a shape and no more.
-
-        The law of a flow, a loss and a spring have a name, though no kind.
-        """
+        """True for a shape and no more; the law of a flow has a name, though no kind."""
         return self.kind == "unknown" and self.priority > 0
 
     def __repr__(self) -> str:

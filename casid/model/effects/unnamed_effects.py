@@ -111,6 +111,7 @@ def linear_loss(
         (c, rest) if about else (c,),
         apply,
         sided=sided,
+        priority=1,
         cost=2 if about else 1,
         shape=place.velocity_name,
         description=f"{_a_quantity(place.unit)} in proportion to {place.velocity_name}{beyond}, "
@@ -133,6 +134,7 @@ def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
         "unknown",
         Parameter(f"k_{place.position_name}", place.velocity_power(0, 1), 0.0),
         lambda k: -k * place.position,
+        priority=1,
         shape=place.position_name,
         description=f"{_a_quantity(place.unit)} in proportion to {place.position_name}, "
         "which the model leaves out",

@@ -11,8 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
-from casid.diagnosis.search import disturbance_rival
+from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.disturbance_rival import _as_white, _beside, _each_beside
 from casid.diagnosis.search.refinement import Adoption
@@ -176,46 +175,3 @@ def test_a_residual_as_white_noise_has_the_gaussian_likelihood() -> None:
     assert minus_log_likelihood(
         Weighing(experiments).with_disturbances().weigh(hull().model, fit, rounds=1)
     ) < _as_white(fit)
-
-
-@pytest.mark.parametrize(
-    ("beside", "foresees", "names"),
-    [(-186.2, False, 0), (-186.2, True, 1), (-400.0, False, 1)],
-)
-def test_what_a_disturbance_does_not_explain_makes_no_cause_that_does_not_either(
-    monkeypatch: pytest.MonkeyPatch, beside: float, foresees: bool, names: int
-) -> None:
-    """A remainder that depends on a state is no reason to keep a jump that gains 5 units there.
-
-    Three parameters, the best of 90 effects: by chance they gain as much.
-    """
-    solution = SimpleNamespace(at_lower=(), at_upper=())
-    fit = SimpleNamespace(criterion=SimpleNamespace(n_samples=449), solution=solution)
-    noise = SimpleNamespace(spectra={})
-    bare, own, start, at = (Weighted(None, fit, noise, noise, {}, k > 1) for k in range(4))
-    value = {id(bare): -181.5, id(own): beside}
-    again = SimpleNamespace(refused=[], weighing=None)
-    search = SimpleNamespace(
-        alpha=0.05,
-        refused=[],
-        progress=lambda _: None,
-        first_table=SimpleNamespace(tested=range(90)),
-        weighing=None,
-        with_disturbances=lambda: again,
-        under_disturbance=lambda of: bare if of is fit else own,
-    )
-    jump = SimpleNamespace(effect=SimpleNamespace(cost=3, key=("parameter_jump", "k")))
-    found = Adoption((Adopted(jump, 1e-9, ()),), at, SimpleNamespace())
-    baseline = SimpleNamespace(fit=fit, start=start, split=None)
-    settings = SimpleNamespace(progress=lambda _: None, fit=None)
-    for name, stub in (
-        ("minus_log_likelihood", lambda at, _=None: value.get(id(at), -181.5)),
-        ("_as_white", lambda _: 0.0),
-        ("_predicts", lambda *_: foresees),
-        ("is_more_than_noise", lambda *_: True),
-        ("_beside", lambda *_: beside),
-        ("adopt_causes", lambda *_: Adoption((), bare, None)),
-    ):
-        monkeypatch.setattr(disturbance_rival, name, stub)
-    _, _, kept = disturbance_rival.weighed_against_disturbances(search, found, baseline, settings)
-    assert len(kept.adopted) == names

@@ -105,4 +105,3 @@ def test_one_of_the_losses_acts_much_as_any_other_wherever_it_vanishes(room: flo
     wanted = (course - room) / np.linalg.norm(course - room)
     acts = [(course - level) / np.linalg.norm(course - level) for level in levels]
     assert max(abs(float(wanted @ each)) for each in acts) > np.cos(np.radians(22.0))
-    assert not any(e.is_unnamed for e in losses)
