@@ -135,13 +135,14 @@ def filled(*, leak: float = 0.0, falls: float = 0.0) -> casid.Record:
 
 
 @pytest.mark.slow
-def test_a_leak_is_a_loss_beside_a_valve_that_an_input_opens() -> None:
-    found = casid.diagnose(receiver(), filled(leak=8e-10), advise=False)
-    only_cause(found, "unknown", "mass", 8e-10)
-    c, rest = found.causes[0].parameters
-    assert c.name == "c_p"
-    assert rest.std_error is not None
-    assert rest.value == pytest.approx(OUTSIDE, abs=4 * rest.std_error)
+def test_a_leak_is_a_loss_or_a_valve_that_never_closes() -> None:
+    """To a vacuum, c p and k_v b p, the two would be one and the same."""
+    found = casid.diagnose(receiver(), filled(leak=1.6e-9), advise=False)
+    (cause,) = found.causes
+    one_of = {(cause.kind, cause.where), *((a.kind, a.where) for a in cause.alternatives)}
+    assert one_of == {("unknown", "mass"), ("sensor_bias", "opening")}
+    before, after = (found.held_out[k]["pressure"] for k in ("baseline_rmse", "extended_rmse"))
+    assert after < 0.3 * before
 
 
 @pytest.mark.slow
