@@ -254,9 +254,11 @@ def _undecided(
     why = _why_undecided(found.baseline, unlike, disturbances)
     if why:
         return why, {}
-    if not bounds:
-        return "", bounds
     still = still_inputs(found.base_fit.criterion)
+    if not bounds:
+        # A disturbance explains whatever an input did that is recorded as standing still.
+        is_random = bool(still and disturbances)
+        return f"a disturbance explains what was measured{still}" if is_random else "", bounds
     return f"the fit holds {' and '.join(bounds.values())}{still}", bounds
 
 
