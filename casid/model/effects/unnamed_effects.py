@@ -83,6 +83,11 @@ def linear_loss(
     which `about` is searched first, v_0 is estimated, as the temperature of a room; where the rest
     of the balance vanishes with v, as growth does with the cells, v_0 is zero. What passes to
     another balance is no loss.
+
+    Parameters
+    ----------
+    about : what v_0 is searched from, the rate's SI unit; 0: it vanishes with v.
+    sided : "positive" from far away, where c of the other sign is a valley of its own.
     """
     place = place_named(model, where)
     rows = {n: b.total for n, b in model.balances.items()}
