@@ -15,7 +15,14 @@ import numpy as np
 from casid.errors import UnitError
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.effect import Effect, Sided, Sizes, Spread, is_one_sided
+from casid.model.effects.effect import (
+    Effect,
+    Sided,
+    Sizes,
+    Spread,
+    is_one_sided,
+    known_while_null,
+)
 from casid.model.effects.names import FLOW
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
@@ -42,22 +49,30 @@ def force_along(
 
 
 def quadratic_damping(model: Model, where: str | Place, about: float = 0.0) -> Effect:
-    """-d_2 |v| v (drag, eddies), d_2 >= 0; of a temperature, about an operating point v_0.
+    """-d_2 |v| v (drag, eddies), d_2 >= 0; of a temperature, say, -d_2 |v - v_0| (v - v_0).
 
-    `about` is v_0 in the rate's SI unit: -d_2 |v - v_0| (v - v_0).
+    `about` is what v_0 is estimated from, in the rate's SI unit: the level that a loss by natural
+    convection goes to is not known, and the mean of a record is none.
     """
     place = place_named(model, where)
-    v = _about(place.velocity, about)
-    p = Parameter("d_2", place.velocity_power(2), 0.0, lower=0.0)
-    constants = {"about": about} if about else {}
-    return force_along(
-        place,
+    d_2 = Parameter("d_2", place.velocity_power(2), 0.0, lower=0.0)
+    level = Parameter(f"level_{place.velocity_name}", place.velocity_unit, about)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        known_while_null(new, names)
+        v = place.velocity - (new.symbol(names[1]) if about else 0.0)
+        place.add(new, -new.symbol(names[0]) * ca.fabs(v) * v)
+
+    shown = model.declared_units.get(place.velocity_name)
+    return Effect(
         "quadratic_damping",
-        p,
-        lambda d_2: -d_2 * ca.fabs(v) * v,
+        place.where,
+        (d_2, level) if about else (d_2,),
+        apply,
         sided="positive",
-        constants=constants,
-        description=_damping_words(place, "square", about),
+        cost=2 if about else 1,
+        description=_damping_words(place, "square", level.name if about else ""),
+        declared_units={level.name: shown} if about and shown else {},
     )
 
 
@@ -73,16 +88,16 @@ def cubic_damping(model: Model, where: str | Place, about: float = 0.0) -> Effec
         p,
         lambda d_3: -d_3 * v**3,
         constants=constants,
-        description=_damping_words(place, "cube", about),
+        description=_damping_words(place, "cube", "its mean" if about else ""),
     )
 
 
-def _damping_words(place: Place, power: str, about: float) -> str:
+def _damping_words(place: Place, power: str, level: str) -> str:
     """What a law of damping is called in a store, which has no rate of motion."""
     if place.is_mechanical:
         return place.words
     name = place.velocity_name or place.where
-    return f"{FLOW} the {power} of {name}{' from its mean' if about else ''}"
+    return f"{FLOW} the {power} of {name}{f' from {level}' if level else ''}"
 
 
 def coulomb_friction(model: Model, where: str | Place, speed: float) -> Effect:

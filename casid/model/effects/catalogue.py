@@ -125,7 +125,9 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
         # Drag grows with the speed through the medium, a flow with the difference of two levels; a
         # temperature alone has no such zero.
         about = 0.0 if place.is_mechanical or place.is_relative else motion.operating_point
-        effects.append(quadratic_damping(model, place, about))
+        reach = 0.5 * (motion.high - motion.low) if about else 0.0
+        levels = {about, about - reach, about + reach}
+        effects += [quadratic_damping(model, place, level) for level in sorted(levels)]
         effects.append(cubic_damping(model, place, about))
         # Where the rate keeps its sign, dry friction is a constant force: between two bodies no
         # other effect is one.
