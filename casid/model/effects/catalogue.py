@@ -61,6 +61,7 @@ from casid.model.effects.unnamed_effects import (
     linear_restoring_force,
     unnamed_effects,
     uptakes_of,
+    vanishes_with,
 )
 from casid.model.model import Model
 
@@ -125,9 +126,8 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
         # Drag grows with the speed through the medium, a flow with the difference of two levels; a
         # temperature alone has no such zero.
         about = 0.0 if place.is_mechanical or place.is_relative else motion.operating_point
-        reach = 0.5 * (motion.high - motion.low) if about else 0.0
-        levels = {about, about - reach, about + reach}
-        effects += [quadratic_damping(model, place, level) for level in sorted(levels)]
+        levels = _levels_of_rest(model, place, motion) if about else [0.0]
+        effects += [quadratic_damping(model, place, level) for level in levels]
         effects.append(cubic_damping(model, place, about))
         # Where the rate keeps its sign, dry friction is a constant force: between two bodies no
         # other effect is one.
@@ -162,6 +162,19 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
     if is_signed and not place.is_mechanical and not place.is_relative:
         return effects
     return effects + unnamed_effects(model, place, speed, is_signed=is_signed)
+
+
+def _levels_of_rest(model: Model, place: Place, motion: Motion) -> list[float]:
+    """Where the level of a loss that grows with a square is searched from.
+
+    Zero, where the rest of the balance vanishes with the state: without cells there is no growth,
+    and their loss has no other level. From far away its parabola would be a line.
+    """
+    balance = model.balances.get(place.where)
+    if balance is not None and vanishes_with(balance.total, place.velocity):
+        return [0.0]
+    reach = 0.5 * (motion.high - motion.low)
+    return sorted({motion.mean - reach, motion.mean, motion.mean + reach})
 
 
 def _memories_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:

@@ -91,7 +91,7 @@ def linear_loss(
     """
     place = place_named(model, where)
     rows = {n: b.total for n, b in model.balances.items()}
-    if place.where in rows and _vanishes_with(rows[place.where], place.velocity):
+    if place.where in rows and vanishes_with(rows[place.where], place.velocity):
         about = 0.0
     slopes = {n: ca.jacobian(row, place.velocity) for n, row in (rows | model._rates).items()}
     own = slopes.pop(place.where)
@@ -180,7 +180,7 @@ def _taken(x: Expr) -> Callable[[Any], Expr]:
     return lambda c: -c * x
 
 
-def _vanishes_with(side: Expr, symbol: Expr) -> bool:
+def vanishes_with(side: Expr, symbol: Expr) -> bool:
     """True if an expression is zero wherever a symbol is, against what it is at random points."""
     others = ca.symvar(ca.veccat(side, symbol))
     both = ca.Function("sides", others, [ca.substitute(side, symbol, 0.0), side])

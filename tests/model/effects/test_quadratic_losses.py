@@ -85,3 +85,14 @@ def test_one_of_those_of_the_catalogue_acts_much_as_any_other(level: float):
     levels = [e.parameters[1].start for e in losses]
     assert len(levels) == 3
     assert max(abs(float(acts(level) @ acts(each))) for each in levels) > np.cos(np.radians(35.0))
+
+
+def test_a_loss_of_what_all_of_the_balance_vanishes_with_goes_to_zero():
+    """The parabola of a level far below all that there is would be the line of a death rate."""
+    m = casid.Model("cells")
+    X, D = m.state("X", "kg/m^3", start=2.0), m.input("D", "1/s")
+    m.balance(X, "growth", inertia=1, terms=[m.parameter("mu", "1/s", start=1e-4) * X, -D * X])
+    m.output("cells", X, "kg/m^3")
+    sizes = Sizes({"X": 2.0}, {"cells": 4.0}, (0.0, 1e4), 10.0, ranges={"X": (1.0, 4.0)})
+    losses = [e for e in catalogue(m, sizes, {}) if e.kind == "quadratic_damping"]
+    assert [[p.name for p in e.parameters] for e in losses] == [["d_2"]]
