@@ -351,6 +351,12 @@ class Functions:
     fewest_knots: int = _is(4, "knots of a cubic spline", _MISSING)
     bends: int = _is(3, "levels at which a function of one variable bends", _MISSING)
     product_bends: int = _is(2, "the same of a coefficient of another variable", _MISSING)
+    few_samples: float = _is(
+        10.0,
+        "samples that tell of a function, from which on its own errors count more than the "
+        "residual's power: a variance of as many squares is known to a factor of two",
+        f"{TESTS}/evidence/test_few_samples.py",
+    )
     at_limit: float = _is(
         0.999, "of a clipping limit: samples beyond it are clipped", f"{_PLATEAUS}"
     )

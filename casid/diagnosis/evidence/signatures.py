@@ -492,7 +492,9 @@ class Regression:
         What measured inputs could give that are no lines between their samples is taken off the
         scores (`SCORES.between_samples`).
         The covariance is that of what the best group leaves: where much is missing, the missing
-        part itself would else pass for noise. Family-wise by min-p draws, as in `scores`.
+        part itself would else pass for noise. Each sample counts as foreseen from the others
+        (MacKinnon and White, J. Econometrics 29 (1985) 305-325, their jackknife). Family-wise by
+        min-p draws, as in `scores`.
 
         Parameters
         ----------
@@ -508,14 +510,16 @@ class Regression:
         if not free:
             return []
         best = max(free, key=lambda i: merits[i])
-        left = self.e - rest[:, self.slices[best]] @ (
-            roots[best] @ (roots[best].T @ z[self.slices[best]])
-        )
+        unit = rest[:, self.slices[best]] @ roots[best]
+        left = self.e - unit @ (roots[best].T @ z[self.slices[best]])
+        # Few samples tell of a step, and it explains their noise.
+        left /= np.maximum(1.0 - np.einsum("ij,ij->i", unit, unit), SCORES.undetectable)
         each = np.hstack([rest[:, self.slices[i]] @ roots[i] for i in free])
         edges = np.cumsum([0, *(roots[i].shape[1] for i in free)])
         per_sample = self._per_sample(each * left[:, None])
         lags = bartlett_lags(per_sample)
         covariance = long_run_covariance(per_sample, lags)
+        covariance += np.diag(_not_seen_to_be_less(each, np.diag(covariance), left))
         if given is not None:
             own = np.hstack([given[:, self.slices[i]] @ roots[i] for i in free])
             own = self._per_sample(own)
@@ -563,6 +567,17 @@ class Regression:
         covariance = long_run_covariance(per_sample, bartlett_lags(per_sample))
         map_back = root / self.size[index][:, None]
         return map_back @ score, map_back @ covariance @ map_back.T
+
+
+def _not_seen_to_be_less(columns: Array, variances: Array, left: Array) -> Array:
+    """What to add to variances of the scores of columns (M, K) of unit length, (K,).
+
+    Of a step one sample tells, whose error is small by chance now and then. As far as few samples
+    tell of a column, its variance is not taken to be less than that of the residual as a whole.
+    """
+    samples = 1.0 / np.maximum(np.einsum("ij,ij,ij,ij->j", *[columns] * 4), TINY)
+    share = FUNCTIONS.few_samples / (FUNCTIONS.few_samples + samples)
+    return np.asarray(share * np.maximum(float(np.mean(left**2)) - variances, 0.0))
 
 
 def _family_wise(
