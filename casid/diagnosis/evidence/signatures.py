@@ -510,10 +510,8 @@ class Regression:
         if not free:
             return []
         best = max(free, key=lambda i: merits[i])
-        unit = rest[:, self.slices[best]] @ roots[best]
-        left = self.e - unit @ (roots[best].T @ z[self.slices[best]])
-        # Few samples tell of a step, and it explains their noise.
-        left /= np.maximum(1.0 - np.einsum("ij,ij->i", unit, unit), SCORES.undetectable)
+        of_best = self.slices[best]
+        left = _foreseen_without(self.e, rest[:, of_best] @ roots[best], roots[best].T @ z[of_best])
         each = np.hstack([rest[:, self.slices[i]] @ roots[i] for i in free])
         edges = np.cumsum([0, *(roots[i].shape[1] for i in free)])
         per_sample = self._per_sample(each * left[:, None])
@@ -567,6 +565,15 @@ class Regression:
         covariance = long_run_covariance(per_sample, bartlett_lags(per_sample))
         map_back = root / self.size[index][:, None]
         return map_back @ score, map_back @ covariance @ map_back.T
+
+
+def _foreseen_without(e: Array, columns: Array, score: Array) -> Array:
+    """What columns (M, K), orthogonal and of unit length, leave of e (M,), by their score (K,).
+
+    Each sample is foreseen from the others: few tell of a step, and it explains their noise.
+    """
+    leverage = np.einsum("ij,ij->i", columns, columns)
+    return np.asarray((e - columns @ score) / np.maximum(1.0 - leverage, SCORES.undetectable))
 
 
 def _not_seen_to_be_less(columns: Array, variances: Array, left: Array) -> Array:
