@@ -19,6 +19,12 @@ SPARSEST = 20
 """Samples of an even clock for one row, at most: more would be a record of missing samples."""
 FINEST = 5
 """Steps in the median interval of an irregular clock, at most: half of one is `OFF_GRID`."""
+FINE = 50
+"""The same of a short record, whose samples then lie within a hundredth of their places."""
+FINE_AT_LEAST = 20
+"""The same, at least: a record whose clock cannot be so fine is not a short one."""
+SHORT = 10_000
+"""Samples of a short record, at most: to simulate them all costs little."""
 FINEST_COMMON = 10
 """The same of the fastest of several clocks: how late one is to another is a bias."""
 SHIFT = 0.01
@@ -126,8 +132,9 @@ def even_clock(times: FloatArray, there: Mapping[str, BoolArray] | None = None) 
 
     Every interval is a whole number of the shortest usual one, and every stamp lies within a tenth
     of it of its place (`OFF_GRID`, as for a clock without absent rows). Stamps that run otherwise
-    lie as near to a finer clock, of up to a fifth of the median interval: what is measured then
-    counts where it was measured, and a simulation has steps between.
+    lie as near to a finer clock, of up to a fifth of the median interval, in a short record up to
+    a fiftieth: what is measured then counts where it was measured, and a simulation has steps
+    between.
 
     Parameters
     ----------
@@ -165,6 +172,18 @@ def _interval(times: FloatArray) -> float:
     return float(np.median(np.diff(times)))
 
 
+def _steps(intervals: float, rows: int, is_common: bool) -> list[int]:
+    """The numbers of steps in an interval that are tried for a clock of so many intervals."""
+    usual = range(1, (FINEST_COMMON if is_common else FINEST) + 1)
+    several = [n for n in usual if intervals * n <= SPARSEST * rows]
+    if is_common:
+        return several
+    finest = min(FINE, int(SHORT / intervals))
+    if finest >= FINE_AT_LEAST:
+        return [finest, *several]
+    return [*several, *range(FINEST + 1, finest + 1)]
+
+
 def _finer(times: FloatArray, own: Sequence[FloatArray]) -> EvenClock | None:
     """The clock that each of several, or the only one, lies near to; None where there is none.
 
@@ -174,10 +193,8 @@ def _finer(times: FloatArray, own: Sequence[FloatArray]) -> EvenClock | None:
     """
     step, intervals = _interval(own[0]), [_interval(t) for t in own]
     best, least = None, np.inf
-    for parts in range(1, (FINEST if len(own) == 1 else FINEST_COMMON) + 1):
+    for parts in _steps(float(times[-1] - times[0]) / step, times.size, len(own) > 1):
         Ts = step / parts
-        if times[-1] - times[0] > SPARSEST * times.size * Ts:
-            break
         start = own[0][0] - Ts * np.ceil((own[0][0] - times[0]) / Ts - OFF_GRID)
         places = [np.round((t - start) / Ts) for t in own]
         errors = [t - start - Ts * p for t, p in zip(own, places, strict=True)]

@@ -3,7 +3,7 @@
 Between its samples an input is what the model declares: held, or joined by straight lines. Over a
 gap that is an assumption about what was not recorded, which a few samples bear. A simulation cannot
 go on over a long gap: the record ends before it, and another begins behind it, from initial states
-of its own.
+of its own. A file of events has a row for every step of a command: between two rows it stood.
 """
 
 from __future__ import annotations
@@ -65,6 +65,15 @@ def recorded_inputs(model: Model, record: Record) -> list[str]:
     ]
 
 
+def doubtful_inputs(model: Model, record: Record) -> list[str]:
+    """Those of `recorded_inputs` that may have moved where they have no sample."""
+    return [
+        name
+        for name in recorded_inputs(model, record)
+        if not has_row_at_every_step(model, record, name)
+    ]
+
+
 def long_gaps(record: Record, name: str) -> BoolArray:
     """(N,) True in gaps of a channel that are longer than a few of its own intervals."""
     missing = record.is_missing(name)
@@ -77,6 +86,34 @@ def long_gaps(record: Record, name: str) -> BoolArray:
         if stop - first + 1 > INPUT_GAPS.longest * usual:
             out[first:stop] = True
     return out
+
+
+def has_row_at_every_step(model: Model, record: Record, name: str) -> bool:
+    """True of a held command in a file of events, which has rows for its steps alone.
+
+    Doses are written so: a row for each sample that was taken, and one for each change of the
+    command, in which nothing was measured. A command without a row has then not changed. A file
+    that a logger wrote has no such rows, or rows of the command at which it did not step.
+
+    Parameters
+    ----------
+    name : an input that the record has, with missing samples.
+    """
+    entry = model.inputs[name]
+    measured = [record.is_missing(output) for output in model.outputs if output in record]
+    rows = np.flatnonzero(~record.is_missing(name))
+    if entry.hold != "zoh" or entry.kind != "known" or not measured or len(rows) <= 2:
+        return False
+    is_alone = np.all(measured, axis=0)[rows]
+    steps = np.diff(record[name][rows], prepend=record[name][rows[0]]) != 0
+    alone_at_step = int(np.sum(is_alone & steps))
+    at_rest = is_alone & ~steps
+    return bool(
+        alone_at_step > 0
+        and 2 * alone_at_step >= steps.sum()
+        and 2 * steps.sum() <= len(rows)
+        and not at_rest[1:-1].any()
+    )
 
 
 def require_short_gaps(record: Record, names: Sequence[str]) -> None:
@@ -124,7 +161,7 @@ def with_gaps_treated(
         replace(
             e,
             record=_complete(model, e.record, beside),
-            filled={n: e.record.missing[n] for n in recorded_inputs(model, e.record)} or e.filled,
+            filled={n: e.record.missing[n] for n in doubtful_inputs(model, e.record)} or e.filled,
         )
         for e in parts
     ]
@@ -136,12 +173,18 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
         return record
     alike: dict[tuple[str, Gaps], list[str]] = {}
     channels, missing = dict(record.channels), dict(record.missing)
+    doubtful, lines = doubtful_inputs(model, record), []
     for name in recorded_inputs(model, record):
+        if name not in doubtful:
+            lines.append(f"{FILLED}{name} has a row at each of its steps: it is held between them")
+            channels[name] = filled(record, name, "zoh")
+            del missing[name]
+            continue
         hold = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
         alike.setdefault((hold, gaps_of(record.missing[name])), []).append(name)
         channels[name] = filled(record, name, model.inputs[name].hold)
         del missing[name]
-    lines = [_filling(names, hold, gaps, record) for (hold, gaps), names in alike.items()]
+    lines += [_filling(names, hold, gaps, record) for (hold, gaps), names in alike.items()]
     for name in [n for n in missing if n in beside and n not in model.outputs]:
         gone = missing[name]
         if gone.any() and not long_gaps(record, name).any():
@@ -174,7 +217,7 @@ def _filling(names: Sequence[str], how: str, found: Gaps, record: Record) -> str
 
 def _parts(model: Model, experiment: Experiment) -> list[Experiment]:
     record = experiment.record
-    names = recorded_inputs(model, record)
+    names = doubtful_inputs(model, record)
     gone = np.zeros(record.N, dtype=bool)
     causes = []
     for name in names:

@@ -11,7 +11,7 @@ from casid.arrays import Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, UnitError
-from casid.estimation.simulation.input_gaps import filled, recorded_inputs, require_short_gaps
+from casid.estimation.simulation.input_gaps import doubtful_inputs, filled, require_short_gaps
 from casid.estimation.simulation.rounding import rounding_of
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si
@@ -109,7 +109,7 @@ def input_columns(model: Model, record: Record) -> Array:
             )
     recorded = [name for name, entry in model.inputs.items() if entry.kind != "generated"]
     _require_channels(model, record, recorded)
-    require_short_gaps(record, recorded_inputs(model, record))
+    require_short_gaps(record, doubtful_inputs(model, record))
     columns = []
     for name, entry in model.inputs.items():
         if entry.kind == "generated":
