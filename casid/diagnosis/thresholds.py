@@ -101,6 +101,16 @@ class Clipping:
         "and a stuck sensor does as it goes on",
         f"{TESTS}/evidence/test_stuck_sensors.py",
     )
+    quiet_window: int = _is(
+        20,
+        "samples of a window that shows the noise of a reading where it hardly moves",
+        f"{TESTS}/evidence/test_stuck_sensors.py",
+    )
+    quiet_share: float = _is(
+        0.1,
+        "of these windows, the quietest: an encoder is without noise as its motion comes to rest",
+        f"{TESTS}/evidence/test_stuck_sensors.py",
+    )
 
 
 _SPIKES = f"{TESTS}/evidence/test_spikes.py"

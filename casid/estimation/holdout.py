@@ -26,6 +26,10 @@ LEAST_HELD_OUT = 0.2
 """Share of a record of which half is still worth to be held out."""
 
 
+LEAST_MEASURED = 0.5
+"""Of the share held out, of the measured samples, at least: fewer judge an extension too weakly."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
     """Simulated and measured signals of what was held out of one record."""
@@ -86,10 +90,15 @@ def split_records(
             f"a held-out share of {hold_out:g} leaves too little to fit; use 0 to 0.9, for example "
             "0.3, or name a file"
         )
+    sizes = [e.record.N for e in experiments]
+    return _split_at(experiments, [n - int(round(hold_out * n)) for n in sizes])
+
+
+def _split_at(experiments: Sequence[Experiment], kept: Sequence[int]) -> Split:
+    """Hold out all but the first `kept` samples of each record."""
     fitted, masks = [], []
-    for e in experiments:
+    for e, keep in zip(experiments, kept, strict=True):
         r = e.record
-        keep = r.N - int(round(hold_out * r.N))
         masks.append(np.arange(r.N) >= keep)
         if keep < r.N:
             part = r.between(r.t0, r.t0 + (keep - 0.5) * r.Ts)
@@ -97,6 +106,31 @@ def split_records(
         else:
             fitted.append(e)
     return Split(fitted, list(experiments), masks, [])
+
+
+def holding_out_measured(split: Split, outputs: Sequence[str]) -> tuple[Split, str]:
+    """Hold out the last share of the samples at which an output was measured.
+
+    The end of a record in which a sensor was off, or stood still, judges nothing. Records of which
+    a usual share is measured there stay as they are. The second is a note, empty where all do.
+    """
+    kept, notes = [], []
+    for e, held in zip(split.whole, split.held, strict=True):
+        measured = ~np.all([e.record.is_missing(name) for name in outputs], axis=0)
+        kept.append(int((~held).sum()))
+        total, share = int(measured.sum()), float(held.mean())
+        if measured[held].sum() < LEAST_MEASURED * share * total:
+            last = int(np.flatnonzero(measured)[-1])
+            first = np.flatnonzero(measured)[total - max(int(round(share * total)), 1)]
+            kept[-1] = int(first)
+            notes.append(
+                f"{e.name}: little is measured in its last {100 * share:.0f} %: what is held out "
+                f"begins at t = {e.record.t[first]:.6g} s, and the last sample is that at "
+                f"t = {e.record.t[last]:.6g} s"
+            )
+    if not notes:
+        return split, ""
+    return replace(_split_at(split.whole, kept), apart=split.apart), "; ".join(notes)
 
 
 def holding_out_less(split: Split) -> Split:

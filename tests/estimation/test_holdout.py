@@ -10,7 +10,13 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 import casid
-from casid.estimation.holdout import held_out_error, record_views, split_records, why_no_better
+from casid.estimation.holdout import (
+    held_out_error,
+    holding_out_measured,
+    record_views,
+    split_records,
+    why_no_better,
+)
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.parameter_effects import parameter_jump
 from tests.support.fitted_models import driven_mass
@@ -47,6 +53,18 @@ def test_the_last_share_of_a_record_is_held_out():
     assert split.fitted[0].record.N == 700
     assert split.whole[0].record.N == 1000
     assert np.flatnonzero(split.held[0]).tolist() == list(range(700, 1000))
+
+
+def test_what_is_held_out_was_measured():
+    e = experiment()
+    off = np.arange(1000) >= 690
+    dead = dataclasses.replace(e, record=e.record.mark_missing("position", off))
+    split, note = holding_out_measured(split_records([dead], 0.3), ["position"])
+    assert int((~split.held[0]).sum()) == split.fitted[0].record.N == 483
+    assert split.whole[0].record.N == 1000
+    assert "begins at t = 9.66 s, and the last sample is that at t = 13.78 s" in note
+    usual = split_records([e], 0.3)
+    assert holding_out_measured(usual, ["position"]) == (usual, "")
 
 
 def test_what_is_held_out_has_no_part_in_the_fit():

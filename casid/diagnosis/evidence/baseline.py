@@ -27,7 +27,7 @@ from casid.diagnosis.evidence.unstable_records import in_windows
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
-from casid.estimation.holdout import Split, holding_out_less
+from casid.estimation.holdout import Split, holding_out_less, holding_out_measured
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import (
@@ -130,6 +130,7 @@ def _determined(problem: Problem, split: Split, settings: DiagnosisSettings) -> 
 
 def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
     say = settings.progress
+    split, little = holding_out_measured(split, list(problem.model.outputs))
     say("fit the model as it is")
     split, of_windows = in_windows(problem.model, split, settings.fit, say)
     fit, negated = _with_signs_as_recorded(problem, split, settings)
@@ -145,12 +146,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         say(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
         fit = _again(problem, split, settings, fit)
     split, fit, gaps = _levelled(problem, split, settings, fit)
-    corrupted, split = without_corrupted(
-        fit, split, settings.alpha, without=tuple(settings.without)
-    )
-    if corrupted.count:
-        say(f"leave out {corrupted.count} clipped samples or outliers and fit again")
-        fit = _again(problem, split, settings, fit)
+    corrupted, split, fit, less = _cleaned(problem, split, settings, fit)
     fit = weighted_by_errors(fit, settings.fit)
     channels, notes = channels_held_out_too(recorded_beside(problem, split.fitted), split.apart)
     weighing = Weighing(
@@ -174,9 +170,23 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         negated=negated,
         why_undecided=undecided,
         why_doubtful="" if undecided else why_doubtful(fit, start, errors),
-        notes=(of_windows, *notes) if of_windows else notes,
+        notes=(*(text for text in (of_windows, less or little) if text), *notes),
         levels=gaps,
     )
+
+
+def _cleaned(
+    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
+) -> tuple[CorruptedSamples, Split, Fit, str]:
+    """What is corrupted, the records without it, their fit, and a note if less is held out."""
+    corrupted, split = without_corrupted(
+        fit, split, settings.alpha, without=tuple(settings.without)
+    )
+    if not corrupted.count:
+        return corrupted, split, fit, ""
+    settings.progress(f"leave out {corrupted.count} clipped samples or outliers and fit again")
+    split, note = holding_out_measured(split, list(problem.model.outputs))
+    return corrupted, split, _again(problem, split, settings, fit), note
 
 
 def _levelled(

@@ -2,7 +2,8 @@
 
 The reading of a sensor with noise does not repeat even at rest. A long run of equal values that
 ends in a leap to where the motion has meanwhile gone is the sensor's or the logger's, not the
-system's: what sticks by friction breaks away without a leap.
+system's: what sticks by friction breaks away without a leap. A sensor that dies in its place, to
+the end of the record, has no leap: there the noise has to be in every reading before.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def find_standstills(
     used: Sequence[Array],
     alpha: float,
 ) -> Standstills | None:
-    """Runs of equal values, longer than chance makes them, that end in a leap.
+    """Runs of equal values, longer than chance makes them, that end in a leap or with the record.
 
     Of N samples of which a share q equals the one before, a run of n or more has a chance of at
     most N q^(n - 1).
@@ -57,6 +58,7 @@ def find_standstills(
     if len(moving) < CLIPPING.samples_per_plateau or not _has_noise(measured, used):
         return None
     leap = CLIPPING.leap * float(np.quantile(moving, 0.95))
+    always_noisy = _is_noisy_at_rest(measured, used)
     for e, (y, s) in enumerate(zip(measured, simulated, strict=True)):
         for first, last in runs[e]:
             n = last - first
@@ -64,7 +66,9 @@ def find_standstills(
             p = float(total * np.exp(min((n - 1) * np.log(share), 0.0)))
             ends = [abs(y[k] - y[first]) for k in (first - 1, last) if 0 <= k < len(y)]
             is_apart = np.ptp(s[first:last]) > leap or not np.isfinite(s[first:last]).all()
-            if p < alpha and n > CLIPPING.fewest and max(ends, default=0.0) > leap and is_apart:
+            is_dead = always_noisy and not used[e][last:].any()
+            leaps = max(ends, default=0.0) > leap
+            if p < alpha and n > CLIPPING.fewest and (leaps or is_dead) and is_apart:
                 masks[e][first:last] = True
                 smallest = min(smallest, p)
     if smallest >= 1.0:
@@ -100,3 +104,21 @@ def _has_noise(measured: Sequence[Array], used: Sequence[Array]) -> bool:
     bends = [np.diff(y, 2)[u[2:] & u[1:-1] & u[:-2]] for y, u in zip(measured, used, strict=True)]
     noise = 1.4826 * float(np.median(np.abs(np.concatenate(bends)))) / np.sqrt(6)
     return bool(noise > 0.5 * step)
+
+
+def _is_noisy_at_rest(measured: Sequence[Array], used: Sequence[Array]) -> bool:
+    """True if readings differ by more than a step of the converter wherever they hardly move.
+
+    Windows of equal readings alone are left out: whether these are the sensor's is the question.
+    """
+    step = quantisation_step(np.concatenate([y[u] for y, u in zip(measured, used, strict=True)]))
+    if step is None:
+        return True
+    noise: list[float] = []
+    for y, u in zip(measured, used, strict=True):
+        kept = y[u]
+        windows = kept[: len(kept) // CLIPPING.quiet_window * CLIPPING.quiet_window]
+        bends = np.diff(windows.reshape(-1, CLIPPING.quiet_window), 2, axis=1)
+        own = np.sqrt(np.mean(bends**2, axis=1) / 6.0)
+        noise += own[own > 0.0].tolist()
+    return bool(noise) and float(np.quantile(noise, CLIPPING.quiet_share)) > step

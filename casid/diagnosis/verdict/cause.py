@@ -92,12 +92,14 @@ class Cause:
         """The cause with its parameters in the units that `units` has for them.
 
         What is no parameter of a model (the limit of clipped samples) has the channel's unit; the
-        times of a delay and of a step are seconds, also where the channel is a pulse width.
+        times of a delay and of a step are seconds, also where the channel is a pulse width, and a
+        share and the error of a gain have no unit, also where the channel has ppm.
         """
         channel = None if self.kind in LATE else units.get(self.where)
 
         def converted(p: Estimated) -> Estimated:
-            if p.name == "time" and p.unit == "s":
+            is_ratio = p.unit == "1" and (p.name == "share" or p.name == f"scale_{self.where}")
+            if is_ratio or (p.name == "time" and p.unit == "s"):
                 return p
             if p.name not in units and channel is not None and si_unit(channel) == p.unit:
                 return p if parse_unit(channel).offset else p.in_unit(channel)

@@ -146,6 +146,7 @@ def _outliers(search: Search, spikes: Spikes) -> Cause:
 def _standing(search: Search, still: Standstills) -> Cause:
     """A sensor that stood still, without its share of the misfit."""
     samples = sum(len(m) for m in still.masks)
+    ends = "to the end of the record" if any(m[-1] for m in still.masks) else "and leaps in the end"
     return Cause(
         kind="outliers",
         where=still.channel,
@@ -155,7 +156,7 @@ def _standing(search: Search, still: Standstills) -> Cause:
             Estimated("size", still.size, _unit(search, still.channel)),
         ),
         sentence=f"the sensor of {still.channel} stands still for {still.count} samples",
-        description="it repeats one value while the motion goes on, and leaps to it in the end",
+        description=f"it repeats one value while the motion goes on, {ends}",
     )
 
 

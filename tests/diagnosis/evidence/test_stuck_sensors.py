@@ -70,3 +70,21 @@ def test_a_flow_that_is_switched_off_is_none():
     flow = np.where((np.arange(N) // 200) % 2 == 0, 0.0, 1.0)
     y = flow + np.where(flow > 0, NOISE, 0.0) * np.random.default_rng(4).standard_normal(N)
     assert found(y, flow) is None
+
+
+@pytest.mark.parametrize("step", [0.0, 0.004])
+def test_a_sensor_that_dies_in_its_place_stands_still_to_the_end(step):
+    y = reading(np.random.default_rng(3))
+    y = np.round(y / step) * step if step else y
+    y[1700:] = motion()[1700] if not step else y[1700]
+    still = found(y)
+    assert still is not None
+    assert np.array_equal(np.flatnonzero(still.masks[0]), np.arange(1700, N))
+
+
+def test_what_comes_to_rest_by_friction_has_no_dead_sensor():
+    """The model without friction swings on; the encoder repeats the value at which it stuck."""
+    swing = np.exp(-np.arange(N) / 700) * motion()
+    stuck = swing.copy()
+    stuck[1440:] = stuck[1440]  # a turning point
+    assert found(np.round(stuck / 0.002) * 0.002, swing) is None
