@@ -247,15 +247,20 @@ def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Fi
 
     Levels in gaps of inputs that are estimated by the outputs take up a part of what the model is
     missing, and no error bar contains that: causes that are found with them are sought once more
-    with levels by the inputs alone, where what the gaps leave is a disturbance.
+    with levels by the inputs alone, where what the gaps leave is a disturbance. Where levels by the
+    outputs leave much that is no noise, they are sought with those by the inputs at once.
     """
-    found = search_causes(problem, fit_baseline(problem, split, settings), settings)
+    baseline = fit_baseline(problem, split, settings)
+    by_inputs = replace(settings, levels_by_outputs=False)
+    if baseline.levels and not baseline.why_undecided and baseline.start.noise_absorbs_misfit:
+        settings.progress("estimate levels in gaps by the inputs alone: what is left is no gap's")
+        return search_causes(problem, fit_baseline(problem, split, by_inputs), by_inputs)
+    found = search_causes(problem, baseline, settings)
     is_late = wall_clock() > (settings.began + settings.search_ends) / 2
     if not found.adopted or not found.baseline.levels or is_late:
         return found
     settings.progress("repeat with levels in gaps by the inputs alone")
-    settings = replace(settings, levels_by_outputs=False)
-    held = search_causes(problem, fit_baseline(problem, split, settings), settings)
+    held = search_causes(problem, fit_baseline(problem, split, by_inputs), by_inputs)
     return held if held.adopted else found
 
 

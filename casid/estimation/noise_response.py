@@ -39,7 +39,7 @@ class Response:
 def noise_response(
     criterion: SimulationError, x: Array, experiment: int, *, omega: Array | None = None
 ) -> Response:
-    """|G|^2 from measured inputs, balances and stated rates to the outputs, linearised at the mean.
+    """|G|^2 from measured inputs, balances and stated rates to the outputs, linearised on average.
 
     The step of the simulation itself is linearised, so the response is that of what is simulated.
     Of an input that is filled between its samples it is that of the noise of those.
@@ -67,9 +67,9 @@ def noise_response(
     pick = np.linspace(0, d.N - 1, min(d.N, 200)).astype(int)
     u = np.hstack([d.u[pick], np.zeros((len(pick), len(forced)))])
     at_points = jac.map(len(pick))(states[pick].T, u.T, u.T, np.tile(p[:, None], (1, len(pick))))
-    a, b0, b1, c, dd = (
-        np.array(m).reshape(m.shape[0], len(pick), -1).mean(axis=1) for m in at_points
-    )
+    a, b0, b1, c, dd = (np.array(m).reshape(m.shape[0], len(pick), -1) for m in at_points)
+    a, c = a.mean(axis=1), c.mean(axis=1)
+    b0, b1, dd = np.split(_gains(np.concatenate([b0, b1, dd])), [len(a), 2 * len(a)])
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
     if omega is None:
         # As fine as the record resolves: a lightly damped resonance is narrower than that already.
@@ -89,6 +89,27 @@ def noise_response(
         spectrum = filled_spectrum(d.filled[name], model.inputs[name].hold, omega)
         g[:, :, measured.index(name)] *= np.sqrt(spectrum)[:, None]
     return Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
+
+
+def _gains(at_points: Array) -> Array:
+    """(rows, sources) by which white noise enters, of gains (rows, points, sources) that vary.
+
+    What it leaves has the mean square of them: the noise of a supply pressure that a valve opens
+    to either side has a gain of zero on average. Each row has the sign by which it goes with the
+    others (the first eigenvector of their correlations), and a gain that stays is what it is.
+    """
+    mean, square = at_points.mean(axis=1), np.sqrt(np.mean(at_points**2, axis=1))
+    out = mean.copy()
+    for j in range(at_points.shape[2]):
+        rows = square[:, j] > 0.0
+        if not rows.any():
+            continue
+        scaled = at_points[rows, :, j] / square[rows, j, None]
+        main = np.linalg.eigh(scaled @ scaled.T)[1][:, -1]
+        signs = np.where(main < 0.0, -1.0, 1.0)
+        turned = np.sum(signs * mean[rows, j] / square[rows, j]) < 0.0
+        out[rows, j] = square[rows, j] * (-signs if turned else signs)
+    return out
 
 
 def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any]:

@@ -351,3 +351,30 @@ def test_which_forces_act_alike_does_not_depend_on_the_size_of_an_output(size):
     weights = np.array([1.0, 1.0 / size])
     criterion = SimulationError(m, [casid.Experiment(record)], weights=weights)
     assert estimate_noise(criterion, criterion.start).alike == (("first",), ("second",))
+
+
+def test_the_noise_of_an_input_counts_whichever_way_another_turns_its_gain():
+    """dy/dt = u w - a y; u is 1 or -1 as often, so that w acts with a gain of zero on average."""
+    rng = np.random.default_rng(5)
+    N, Ts, a, noise = 3000, 0.1, 0.5, 0.1
+    u = np.repeat(rng.choice([-1.0, 1.0], N // 20), 20)
+    w = 2.0 + np.sin(0.03 * np.arange(N))
+    y, level = np.empty(N), 0.0
+    for k in range(N):
+        y[k] = level
+        level = np.exp(-a * Ts) * level + (1 - np.exp(-a * Ts)) / a * u[k] * w[k]
+    y += 0.01 * rng.standard_normal(N)
+    m = casid.Model("valve")
+    x, command = m.state("x", "m"), m.input("u", "1", hold="zoh", known=True)
+    supply = m.input("w", "m/s", hold="zoh")
+    m.derivative(x, command * supply - m.parameter("a", "1/s", start=0.6, lower=0.1, upper=5) * x)
+    m.output("y", x, "m")
+    record = casid.Record(
+        {"u": u, "w": w + noise * rng.standard_normal(N), "y": y},
+        {"u": "1", "w": "m/s", "y": "m"},
+        Ts=Ts,
+    )
+    fit = minimize_simulation_error(SimulationError(m, [casid.Experiment(record, {}, "r")]))
+    found = estimate_noise(fit.criterion, fit.x)
+    assert found.source_sd["w"] == pytest.approx(noise, rel=0.1)
+    assert found.output_sd[0] == pytest.approx(0.01, rel=0.1)

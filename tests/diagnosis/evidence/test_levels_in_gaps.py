@@ -6,12 +6,16 @@ and single rows of heater and room are lost.
 
 from __future__ import annotations
 
+import importlib
+
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
 import casid
 from casid.data.record import Record
 from casid.diagnosis.evidence.levels_in_gaps import with_levels_in_gaps
+from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.input_gaps import with_gaps_treated
@@ -103,3 +107,27 @@ def test_levels_by_the_inputs_alone_take_up_nothing_of_what_is_missing() -> None
         taken.append(-float(error @ gusts[gone] / (gusts[gone] @ gusts[gone])))
     assert taken[0] > 0.4
     assert abs(taken[1]) < 3 * 1300.0 / float(np.linalg.norm(gusts[gone]))
+
+
+@pytest.mark.parametrize(("drained", "by_outputs"), [(0.0, True), (2500.0, False)])
+def test_where_much_is_missing_causes_are_sought_once(
+    monkeypatch: pytest.MonkeyPatch, drained: float, by_outputs: bool
+) -> None:
+    """What levels by the outputs do not take up is not the gaps': the search is not repeated."""
+    searched: list[bool] = []
+
+    class Searched(Exception):
+        pass
+
+    def search(problem: object, baseline: object, settings: DiagnosisSettings) -> None:
+        searched.append(settings.levels_by_outputs)
+        raise Searched
+
+    monkeypatch.setattr(
+        importlib.import_module("casid.diagnosis.diagnose"), "search_causes", search
+    )
+    drain = drained * (np.arange(900) % 144 > 100)
+    record, _ = recorded(drain)
+    with pytest.raises(Searched):
+        casid.diagnose(casid.Problem("room", room(), starts=1), record)
+    assert searched == [by_outputs]
