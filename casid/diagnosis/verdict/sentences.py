@@ -141,6 +141,20 @@ def says_kind(
     )
 
 
+def _says_constant(effect: Effect) -> str:
+    """A constant term or a bias that has more to it than its kind, in words, or an empty text."""
+    if "stop" in effect.constants:
+        start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
+        return f"{effect.description} (its size is what it grows to from {start} to {stop})"
+    if effect.description == BESIDE_ITS_ZERO:
+        acts = f"as {effect.where} - {effect.parameters[0].name}"
+        return (
+            f"the command {effect.where} {effect.description}, {acts} (an error of the actuator, "
+            "or a constant part beside it that is not recorded)"
+        )
+    return effect.description if effect.is_on_the_clock else ""
+
+
 def says(effect: Effect, column: str = "") -> str:
     """One effect in words, a cause's sentence without its capital.
 
@@ -152,10 +166,8 @@ def says(effect: Effect, column: str = "") -> str:
         of = f" (column {column!r})" if column and column != effect.where else ""
         on = f"in the {effect.shape} balance" if effect.shape else "on the system"
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
-    if effect.kind in ("offset", "sensor_bias") and effect.is_on_the_clock:
-        return effect.description
-    if effect.kind == "sensor_bias" and effect.description == BESIDE_ITS_ZERO:
-        return f"the command {effect.where} {effect.description}"
+    if effect.kind in ("offset", "sensor_bias") and (text := _says_constant(effect)):
+        return text
     if effect.kind == "parameter_drift" and "stop" in effect.constants:
         start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
         change = f"its change is that from {start} to {stop}, its value the one in the middle"

@@ -23,7 +23,8 @@ from casid.diagnosis.verdict.sentences import (
     why_alternative,
 )
 from casid.estimation.estimate import Estimated
-from casid.model.effects.channel_effects import hold
+from casid.model.effects.channel_effects import hold, sensor_bias
+from casid.model.effects.clock_effects import bias_drift
 from casid.model.effects.parameter_effects import parameter_drift
 from problems import pendulum
 from tests.support.samples import changed
@@ -314,3 +315,13 @@ def test_a_drift_says_between_which_instants_it_is_and_where_the_parameter_has_i
 )
 def test_what_restores_is_called_by_the_balance_only_where_that_is_a_force(where, words):
     assert words in says_kind("cubic_stiffness", where)
+
+
+def test_a_bias_says_over_what_it_grows_and_with_which_sign_a_command_acts():
+    m = casid.Model("room")
+    c, q = m.state("c", "ppm"), m.input("q", "m^3/h", hold="zoh", known=True)
+    m.balance(c, "CO2", inertia=m.parameter("V", "m^3", start=200), terms=[q * (420e-6 - c)])
+    m.output("co2", c, "ppm")
+    drifting = says(bias_drift(m, "co2", (0.0, 240000.0)))
+    assert drifting.endswith("grows steadily (its size is what it grows to from 0 s to 2.78 d)")
+    assert "acts beside its zero, as q - bias_q (an error of" in says(sensor_bias(m, "q"))
