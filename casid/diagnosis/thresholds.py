@@ -933,6 +933,12 @@ class Judging:
         f"{TESTS}/evidence/test_disturbances.py",
         "a tenth of the square root; engineering judgement",
     )
+    floor_errors: float = _is(
+        2.0,
+        "standard errors by which the noise of an input may be larger than the floor of its own "
+        "spectrum, before the rest is a disturbance",
+        f"{TESTS}/evidence/test_disturbances.py",
+    )
     visible: float = _is(
         1e-4,
         "share of the misfit below which a significant effect is not listed as a remainder, unless "

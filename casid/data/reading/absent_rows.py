@@ -19,11 +19,11 @@ SPARSEST = 20
 """Samples of an even clock for one row, at most: more would be a record of missing samples."""
 FINEST = 5
 """Steps in the median interval of an irregular clock, at most: half of one is `OFF_GRID`."""
-FINE = 50
-"""The same of a short record, whose samples then lie within a hundredth of their places."""
-FINE_AT_LEAST = 20
+FINE = 20
+"""The same of a short record, whose samples then lie within a fortieth of their places."""
+FINE_AT_LEAST = 10
 """The same, at least: a record whose clock cannot be so fine is not a short one."""
-SHORT = 10_000
+SHORT = 4000
 """Samples of a short record, at most: to simulate them all costs little."""
 FINEST_COMMON = 10
 """The same of the fastest of several clocks: how late one is to another is a bias."""
@@ -133,7 +133,7 @@ def even_clock(times: FloatArray, there: Mapping[str, BoolArray] | None = None) 
     Every interval is a whole number of the shortest usual one, and every stamp lies within a tenth
     of it of its place (`OFF_GRID`, as for a clock without absent rows). Stamps that run otherwise
     lie as near to a finer clock, of up to a fifth of the median interval, in a short record up to
-    a fiftieth: what is measured then counts where it was measured, and a simulation has steps
+    a twentieth: what is measured then counts where it was measured, and a simulation has steps
     between.
 
     Parameters

@@ -21,6 +21,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
+from casid.estimation.noise_floor import floor_error
 from casid.estimation.noise_response import name_of_force, unit_of_force
 from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, difference_to_si, same_dimension
@@ -172,7 +173,7 @@ def _acting_as(at: Weighted, where: str) -> Sequence[str]:
 
 
 def p_value_of(at: Weighted, group: Collection[str]) -> float:
-    """p that sources are no more than the noise of the inputs among them.
+    """p that sources are no more than the noise of the inputs among them, as these have it at most.
 
     By the ratio of Whittle's likelihoods without and with more of them at the fit. As a variance is
     not negative, twice its logarithm is zero half of the time, and else chi-square of one degree of
@@ -182,8 +183,14 @@ def p_value_of(at: Weighted, group: Collection[str]) -> float:
     """
     if at.full.spectra:
         return 0.0
-    floors = input_noise_floor(at.criterion.data, list(at.model.inputs))
+    # The floor of a channel's spectrum is an estimate, with an error of its own.
+    beyond = np.sqrt(1 + JUDGING.floor_errors * floor_error([d.N for d in at.criterion.data]))
+    own = input_noise_floor(at.criterion.data, list(at.model.inputs))
+    floors = {name: beyond * floor for name, floor in own.items()}
     kept = {name: at.input_sd.get(name, 0.0) for name in group}
+    for name, sd in kept.items():
+        if (shown := at.full.source_sd.get(name, 0.0)) > sd:
+            kept[name] = min(shown, beyond * sd)
     without = _noise_with(at, kept)
     # What acts alike would else pass for noise of an input that its own channel does not have.
     most = {n: floors[n] for n in floors if without.source_sd.get(n, 0.0) > floors[n]}

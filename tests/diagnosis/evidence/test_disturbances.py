@@ -146,3 +146,30 @@ def test_a_force_by_the_name_of_an_output_is_tested_beside_the_outputs_noise():
     model = with_balances(m)
     fit = minimize_simulation_error(SimulationError(model, [data]))
     assert p_value_of(Weighing([data]).estimated(fit), ["level"]) > 0.05
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_input_with_somewhat_more_noise_than_its_floor_has_no_disturbance_beside_it(seed):
+    """The floor of 1200 samples errs by a tenth of the variance; the residual shows it to 5 %."""
+    rng = np.random.default_rng(seed)
+    N, noise = 1200, 0.3
+    F = np.convolve(rng.standard_normal(N), np.ones(40) / 6, mode="same")
+    y, level = np.empty(N), 0.0
+    for i in range(N):
+        y[i] = level
+        level = np.exp(-0.5 * Ts) * level + (1 - np.exp(-0.5 * Ts)) / 0.5 * F[i]
+    m = casid.Model("store")
+    x, inflow = m.state("x", "m"), m.input("F", "m/s")
+    a = m.parameter("a", "1/s", start=0.5, lower=0.1, upper=5.0)
+    m.balance(x, "volume", inertia=1, terms=[inflow, -a * x], unit="m/s")
+    m.output("y", x, "m")
+    read = F + noise * rng.standard_normal(N)
+    read_y = y + 0.02 * rng.standard_normal(N)
+    data = casid.Record({"y": read_y, "F": read}, {"y": "m", "F": "m/s"}, Ts=Ts, name="store")
+    data = [casid.Experiment(data, {}, "r")]
+    fit = minimize_simulation_error(SimulationError(m, data, weights=np.ones(1)))
+    at = Weighing(data).estimated(fit)
+    less = replace(at, input_sd={"F": 0.9 * at.full.source_sd["F"]})
+    assert p_value_of(less, ["F", "volume"]) > 0.2
+    far = replace(at, input_sd={"F": 0.6 * at.full.source_sd["F"]})
+    assert p_value_of(far, ["F", "volume"]) < 1e-6
