@@ -584,6 +584,11 @@ class Refits:
     growth: float = _is(3.0, "times its value that a parameter may gain", POWER_STUDY)
     slope_room: float = _is(2.0, "times the slope to zero that a change may have", POWER_STUDY)
     inside: float = _is(0.9, "of these bounds between which a fit starts", POWER_STUDY)
+    lost: float = _is(
+        0.1,
+        "of its declared start, below which a parameter says little of how far it may change",
+        f"{TESTS}/search/test_lost_parameters.py",
+    )
     far: float = _is(
         10.0,
         "times its noise, the error of an output beyond which parameters of the model may be so "

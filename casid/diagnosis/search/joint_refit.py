@@ -102,12 +102,14 @@ class Refitting:
         """The better of `best` and a fit from where the user would start, the effect from `step`.
 
         A model that is far from what was measured fits it with parameters that are far away, too,
-        and the way back may lead over a hill.
+        and the way back may lead over a hill. So it may for a change of a parameter of which the
+        fit without it has left next to nothing: that bounds the change.
         """
-        if error_over_noise(at.fit, at.noise) < REFITS.far:
-            return best
-        if best is not None and error_over_noise(best.fit, at.noise) < REFITS.explained:
-            return best
+        if not _is_of_lost_parameter(at, effect):
+            if error_over_noise(at.fit, at.noise) < REFITS.far:
+                return best
+            if best is not None and error_over_noise(best.fit, at.noise) < REFITS.explained:
+                return best
         start, upper = _starts(at, effect, step, near=True)[0]
         first = {**starts, effect.parameters[0].name: start}
         afresh = partial(self._from, at, effect, first, upper, {})
@@ -221,6 +223,14 @@ def moved_parameter(effect: Effect) -> str | None:
     if effect.kind == "scheduled_parameter":
         return effect.where.partition("~")[0]
     return effect.where if effect.kind in ("parameter_jump", "parameter_drift") else None
+
+
+def _is_of_lost_parameter(at: Weighted, effect: Effect) -> bool:
+    """True of a change of a parameter that is a small part of its declared start without it."""
+    name = moved_parameter(effect)
+    if name is None or name not in at.fit.values or name not in at.model.parameters:
+        return False
+    return abs(at.fit.values[name]) < REFITS.lost * abs(at.model.parameters[name].nominal)
 
 
 def _starts(
