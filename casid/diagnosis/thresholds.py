@@ -380,6 +380,12 @@ class Residual:
     """Kinds of residual."""
 
     bands: int = _is(12, "bands of the spectrum of every output", _RESIDUAL)
+    floor_errors: float = _is(
+        2.0,
+        "standard errors by which the noise of an input may be larger than the floor of its own "
+        "spectrum, before the rest is a disturbance",
+        f"{TESTS}/evidence/test_disturbances.py",
+    )
     first_band: int = _is(8, "lines of the lowest band", _RESIDUAL)
     blocks: int = _is(20, "stretches in which power is compared over time", _RESIDUAL)
     share_p: float = _is(
@@ -937,12 +943,6 @@ class Judging:
         "seventh of what it could",
         f"{TESTS}/evidence/test_disturbances.py",
         "a tenth of the square root; engineering judgement",
-    )
-    floor_errors: float = _is(
-        2.0,
-        "standard errors by which the noise of an input may be larger than the floor of its own "
-        "spectrum, before the rest is a disturbance",
-        f"{TESTS}/evidence/test_disturbances.py",
     )
     visible: float = _is(
         1e-4,

@@ -109,7 +109,7 @@ def _gains(at_points: Array) -> Array:
         signs = np.where(main < 0.0, -1.0, 1.0)
         turned = np.sum(signs * mean[rows, j] / square[rows, j]) < 0.0
         out[rows, j] = square[rows, j] * (-signs if turned else signs)
-    return out
+    return np.asarray(out)
 
 
 def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any]:

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from casid.arrays import TINY
 from casid.data.files import plain_fields
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
+from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, RESIDUAL
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
 from casid.estimation.noise_floor import floor_error
@@ -184,7 +184,7 @@ def p_value_of(at: Weighted, group: Collection[str]) -> float:
     if at.full.spectra:
         return 0.0
     # The floor of a channel's spectrum is an estimate, with an error of its own.
-    beyond = np.sqrt(1 + JUDGING.floor_errors * floor_error([d.N for d in at.criterion.data]))
+    beyond = np.sqrt(1 + RESIDUAL.floor_errors * floor_error([d.N for d in at.criterion.data]))
     own = input_noise_floor(at.criterion.data, list(at.model.inputs))
     floors = {name: beyond * floor for name, floor in own.items()}
     kept = {name: at.input_sd.get(name, 0.0) for name in group}
