@@ -21,6 +21,7 @@ def test_an_old_name_gives_the_new_attribute_and_warns():
         assert Result().mend == "fix a parameter"
 
 
+@pytest.mark.slow
 def test_every_old_name_leads_to_an_attribute_of_its_class():
     found = []
     for path in sorted(CASID.rglob("*.py")):

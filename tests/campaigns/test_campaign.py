@@ -416,6 +416,7 @@ def test_a_worker_that_dies_once_costs_nothing(tmp_path: Path) -> None:
     assert same(result, campaign(noisy, 20))
 
 
+@pytest.mark.slow
 def test_a_run_that_always_kills_its_worker_is_found_and_the_others_are_done(
     tmp_path: Path,
 ) -> None:
@@ -429,6 +430,7 @@ def test_a_run_that_always_kills_its_worker_is_found_and_the_others_are_done(
     assert result.table["x"].drop(index=9).equals(expected["x"].drop(index=9))
 
 
+@pytest.mark.slow
 def test_the_same_call_runs_on_a_dask_cluster_and_survives_a_killed_worker(tmp_path: Path) -> None:
     """Dask gives the dead worker's tasks to another; the seeds are the runs', not the workers'."""
     distributed = pytest.importorskip("distributed")

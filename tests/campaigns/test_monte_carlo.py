@@ -414,6 +414,7 @@ def test_the_command_refuses_what_cannot_be_meant(tank: Problem) -> None:
         assert not Path("reports").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_an_interrupted_study_says_what_is_kept_and_continues(tank: Problem) -> None:
     command = [sys.executable, "-m", "casid", "montecarlo", "tank.py", "--runs", "5000"]

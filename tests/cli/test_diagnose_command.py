@@ -162,6 +162,7 @@ def test_calibrate_before_the_problem_says_where_it_belongs() -> None:
     assert "pendulum.py" in text
 
 
+@pytest.mark.slow
 def test_a_channel_of_a_slower_clock_counts_at_its_instants_or_is_left_out_with_a_note() -> None:
     """Every other sample of the gyro is enough for it; a recorded channel has to be complete."""
     record = pendulum.simulate(duration=8.0)

@@ -47,6 +47,7 @@ def test_a_case_is_written_with_every_problem_file_that_it_reads(name: str) -> N
     assert ("problems" in script) == Path("case/problems").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_masses", "load"])
 def test_a_written_script_runs_where_it_lies(name: str) -> None:
     """One without problem files, and one that imports from them; both end in assertions."""

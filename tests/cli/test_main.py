@@ -180,6 +180,7 @@ def test_check_of_an_unusable_file_is_still_a_whole_report(here: Path) -> None:
     assert casid("check", "absent.csv").exit_code == 2
 
 
+@pytest.mark.slow
 def test_units_windows_cases_and_known_values_reach_the_estimate(
     here: Path, truth: TruthRecord
 ) -> None:

@@ -58,6 +58,7 @@ def test_a_search_that_is_cut_off_names_nothing_and_lists_what_was_not_done(reco
     assert written["not_done"] == list(found.not_done)
 
 
+@pytest.mark.slow
 def test_after_the_search_the_causes_stand_and_the_rest_is_listed(record, monkeypatch):
     found = ended_at("test every effect (round 2)", record, monkeypatch)
     assert found.verdict == "deficient"

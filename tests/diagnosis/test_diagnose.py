@@ -160,6 +160,7 @@ def test_outliers_are_counted():
     assert share == pytest.approx(0.01, rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_spoils_the_held_out_end_alone_is_found_as_well():
     """All clipped samples of this record lie in its last 30 %: nothing of them is fitted."""
     hidden = truth.cart_pendulum("saturation", 1.2, seed=107)

@@ -101,6 +101,7 @@ def test_a_bench_is_called_for_as_many_records_as_it_may_take() -> None:
     assert found.is_decided or "after 1 record" in found.ending
 
 
+@pytest.mark.slow
 def test_what_is_no_record_is_refused() -> None:
     with pytest.raises(casid.DataError, match="no record to begin with"):
         casid.investigate(store(), [], {"u": (-3, 3)}, 12.0)

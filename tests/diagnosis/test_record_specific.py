@@ -85,6 +85,7 @@ def test_sizes_of_single_records_stand_in_the_json_and_in_the_text():
     assert diagnosed(1.0, 1.0).to_json()["causes"][0]["by_record"] == {}
 
 
+@pytest.mark.slow
 def test_the_fit_with_sizes_of_their_own_is_as_good_as_the_sensor():
     d = diagnosed(1.0, 2.0)
     assert d.fitted["extended_rmse"]["position"] == pytest.approx(NOISE, rel=0.1)

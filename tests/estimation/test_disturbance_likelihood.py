@@ -89,6 +89,7 @@ def estimated(seeds: range, height: float) -> tuple[Array, Array]:
     return np.array(simulated), np.array(found)
 
 
+@pytest.mark.slow
 def test_a_sea_is_taken_for_what_determines_the_roll() -> None:
     """A resonance of width B under a force known but for its spectrum: over T seconds
 

@@ -57,6 +57,7 @@ def best_covariance(N: int, noise: float) -> Any:
     return noise**2 * np.linalg.inv(R) / N
 
 
+@pytest.mark.slow
 def test_refined_instruments_and_prefilter_reach_the_variance_of_the_ideal_ones() -> None:
     """Algorithm 2.1 with an MA(2) model of A e against (2.47)-(2.48), and what L = 1 costs.
 

@@ -61,6 +61,7 @@ def test_the_nearer_start_gives_nists_parameters_and_standard_errors(name):
     assert estimate.rank == len(estimate.parameters)
 
 
+@pytest.mark.slow
 def test_the_farther_start_gives_nists_answer_but_for_one_set_at_most():
     rows = [nist.measure(case(name), "start1") for name in SETS]
     missed = [r for r in rows if not r.is_met]

@@ -205,6 +205,7 @@ def test_the_information_of_the_reactor_is_that_of_pyomo_doe_at_constant_tempera
     assert found[0, 2] == pytest.approx(-70.238, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_reactor_of_pyomo_doe_is_designed_as_well_as_it_prints() -> None:
     """Printed: 5.0 mol/l, 494 K and then 300 K, log10 of the determinant 19.32.
 

@@ -35,6 +35,7 @@ def gyro(t: np.ndarray, accel: np.ndarray, k: float, d: float, I_x: float, *x0: 
     return lsim(system, accel, t, np.array(x0))[1]
 
 
+@pytest.mark.slow
 def test_what_the_cart_is_made_to_do_gives_what_the_indirect_model_can_learn(
     designed: casid.DesignedExperiment,
 ) -> None:

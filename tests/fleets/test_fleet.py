@@ -203,6 +203,7 @@ def test_a_full_disk_is_told_and_nothing_is_lost(
     assert contents(tmp_path / "out") == contents(heaters / "out")
 
 
+@pytest.mark.slow
 def test_a_record_that_was_changed_is_refused(heaters: Path, tmp_path: Path) -> None:
     (tmp_path / "records").mkdir()
     shutil.copy(heaters / "records" / "heater0_1.csv", tmp_path / "records")
@@ -246,6 +247,7 @@ def test_the_page_and_the_terminal_name_the_finding(done: casid.Fleet, heaters: 
     assert len(page) < 3e6
 
 
+@pytest.mark.slow
 def test_records_that_decide_nothing_are_listed_with_the_reason(tmp_path: Path) -> None:
     write_problem(tmp_path)
     still = samples(5)

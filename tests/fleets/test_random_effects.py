@@ -57,6 +57,7 @@ def test_a_shrunk_mean_is_the_weighted_one_of_asset_and_fleet() -> None:
         assert asset.mean == pytest.approx(found.mean + share * (own - found.mean), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_variances_mean_and_drift_are_recovered() -> None:
     """Over 40 fleets of 20 assets with 15 records: within four errors of the mean of 40."""
     rng = np.random.default_rng(3)

@@ -110,6 +110,7 @@ def test_asset_and_time_may_be_columns_of_the_files(tmp_path: Path) -> None:
     assert listed.records[0].when == pd.Timestamp("2024-04-30 06:00").timestamp()
 
 
+@pytest.mark.slow
 def test_a_fleet_by_columns_does_not_take_them_for_signals(tmp_path: Path) -> None:
     for i, heater in enumerate(["left", "right", "left"]):
         frame = pd.DataFrame(samples(i)).assign(heater=heater, day=float(3 - i))

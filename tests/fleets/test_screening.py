@@ -33,6 +33,7 @@ def screened(screen: Screen, path: Path, **how: float) -> Screened:
     return screen(screen.declared.read(write_record(path / "r.csv", samples(**how))))
 
 
+@pytest.mark.slow
 def test_records_that_lack_nothing_seldom_pass(screen: Screen, tmp_path: Path) -> None:
     """Of 40 at a fifth of 5 %, two are as many as 6 % of all such tests would see by chance."""
     passed = [screened(screen, tmp_path, seed=s).passes(0.05) for s in range(100, 140)]

@@ -87,6 +87,7 @@ def test_the_libraries_of_a_task_are_loaded_outside_its_time(
         process.end()
 
 
+@pytest.mark.slow
 def test_an_endless_task_is_ended_and_the_next_one_done(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CASID_TIME_FACTOR", "1")
     process = Supervised(3.0, 300.0)

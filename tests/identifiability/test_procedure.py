@@ -397,6 +397,7 @@ def test_a_pendulum_tells_the_sum_of_its_inertias():
     assert a.remedy() == "give any one of I_x, I_xm a known value"
 
 
+@pytest.mark.slow
 def test_the_nine_parameters_of_the_ship_move_and_the_height_of_the_load_does_not():
     """One curve; zbar_m is told always, m where the load is as high as the calibration weight."""
     a = casid.assess_identifiability(ship.nine_parameters(), practical=False)

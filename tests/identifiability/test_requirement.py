@@ -96,6 +96,7 @@ def test_a_known_inertia_mends_the_pendulum():
 # -- the ship --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_nine_parameters_of_the_ship_are_refused_with_what_does_not_change(no_fit):
     """Rank 14 of 15: the calibration gives one equation, not two (Linder 2017, section 8.4)."""
     records = ship.experiments(duration=1.0)
@@ -134,6 +135,7 @@ def test_records_without_their_load_case_are_refused_with_how_to_name_it(no_fit)
     assert requirement.unnamed_cases(ship.problem, [known]) == ""
 
 
+@pytest.mark.slow
 def test_three_families_of_a_bare_record_are_integrated_without_large_formulas(monkeypatch):
     """Sympy factors none of over `LARGEST` operations: one of 708 takes minutes."""
     sizes = []

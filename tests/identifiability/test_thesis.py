@@ -263,6 +263,7 @@ def test_the_mass_is_told_where_the_load_stands_as_high_as_the_calibration_weigh
 # -- the program -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_tables_are_printed_with_every_target_met(capsys, tmp_path):
     assert identifiability_tables.STUDY.main(["--quick", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out

@@ -104,6 +104,7 @@ def test_parameters_size_and_peak_are_found_within_their_errors_over_seeds():
         assert abs(np.mean(z)) < 3.3 / np.sqrt(len(z)), name
 
 
+@pytest.mark.slow
 def test_a_disturbance_that_comes_once_a_day_is_found_as_one_of_some_seconds():
     """The same samples of the same motion, 1e5 times more slowly: only the unit of time differs."""
     slower = 1e5
@@ -135,6 +136,7 @@ def test_least_squares_is_less_certain_of_the_stiffness_in_a_sea():
     assert plain.parameter("k").std_error > 2 * estimate(0).parameter("k").std_error
 
 
+@pytest.mark.slow
 def test_a_state_names_its_balance():
     found = identify(mass(), record(0), disturbances=[Disturbance("v", "peak")], intervals="quick")
     assert found["peak of disturbance in v"] == pytest.approx(
@@ -168,6 +170,7 @@ def test_a_file_needs_no_column_of_an_input_that_nobody_measures(tmp_path):
         identify(casid.Problem("mass", m), read)
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_size_is_that_of_its_likelihood():
     """A standard deviation of some twenty independent values: longer above than below.
 
@@ -192,6 +195,7 @@ def test_a_wrong_spectrum_is_warned_of():
     assert not any("innovations" in w for w in estimate(0).warnings)
 
 
+@pytest.mark.slow
 def test_a_linear_model_that_rests_elsewhere_gives_the_same():
     found = identify(
         mass(offset=0.7), record(0, offset=0.7), disturbances="force:peak", intervals="quick"
@@ -331,6 +335,7 @@ def test_predictions_use_what_was_measured_until_so_many_samples_before():
     assert other == pytest.approx(errors[0], rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("linear", [True, False])
 def test_what_is_held_out_is_predicted_one_sample_ahead(linear):
     """As well as what was fitted, of the same record and of another one."""
@@ -412,6 +417,7 @@ def test_a_search_that_the_budget_cuts_off_claims_nothing(monkeypatch):
     assert all(p.std_error is None for p in found.parameters)
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_disturbance(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mass.py").write_text(

@@ -41,6 +41,7 @@ def nine(families) -> Invariants:
 # -- the nine parameters of the ship ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_of_the_nine_parameters_only_the_height_of_the_load_is_told(nine):
     assert list(nine.identifiable) == ["zbar_m"]
     assert set(nine.moving) == {"k", "A_x", "d", "K_r", "K_vdot", "K_delta", "z_f", "m"}
@@ -91,6 +92,7 @@ def test_combinations_are_told_in_place_of_what_moves(nine):
         assert abs(c.value - expected) < 4 * c.std_error
 
 
+@pytest.mark.slow
 def test_intervals_of_mass_and_height_hold_the_truth_whatever_was_held(families):
     """Six draws, z_f held off the truth; fewer than the 0.1 % point of a 95 % interval fails."""
     hits = {"m": 0, "zbar_m": 0}
@@ -173,6 +175,7 @@ def test_of_a_mass_moved_by_a_scaled_force_only_ratios_are_told(ratios):
     assert found.moving["k"].range == pytest.approx((low * at["k"], top * at["k"]), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_intervals_of_ratios_hold_the_truth_in_95_of_100_draws(ratios):
     """Twenty draws of a white error; each count at least its 0.1 % point."""
     wanted = {"k/M": 4.0, "b/M": 0.75, "d/M": 0.4, "c": 0.1}

@@ -147,6 +147,7 @@ def test_covariance_bootstrap_and_profile_tell_the_same_where_the_map_is_mild(st
     assert p.lower < staged["m"] < p.upper
 
 
+@pytest.mark.slow
 def test_intervals_cover_over_many_runs(study: PendulumRecords) -> None:
     """80 runs of m and of z_m. Binomial at 95 %: mean 76, sd 1.95; four of them allowed. I_x and d
     carry the bilinear offset and are compared in analysis/pendulum_study."""

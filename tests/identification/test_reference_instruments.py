@@ -48,6 +48,7 @@ def problem(**given) -> casid.Problem:
     return casid.Problem("drive", model(), recorded={"ref": "rad/s"}, starts=1, **given)
 
 
+@pytest.mark.slow
 def test_a_declared_reference_takes_the_place_of_least_squares_that_feedback_biases():
     z, plain = [], []
     for seed in range(8):

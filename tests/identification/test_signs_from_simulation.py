@@ -152,6 +152,7 @@ def test_a_diagnosis_names_the_sign_first_and_goes_on_with_it_mended(tmp_path: P
     assert "wrong sign" in page.split('class="sentence"')[1][:200]
 
 
+@pytest.mark.slow
 def test_an_estimate_carries_the_suspicion_at_its_top() -> None:
     wrong = negated(pendulum_record(), "gyro")
     settings = FitSettings(starts=1, substeps=1, solver=casid.Solver(max_iterations=100))
@@ -270,6 +271,7 @@ def test_signs_of_the_noisy_ship_that_are_right_are_not_suspected(noisy) -> None
     assert wrong_sign(BUILT, noisy, ONE) is None
 
 
+@pytest.mark.slow
 def test_an_estimate_from_the_noisy_ship_names_the_yaw_gyro(noisy) -> None:
     found = casid.identify(BUILT, negated(noisy, "r"), settings=ONE)
     (said,) = found.suspects

@@ -142,6 +142,7 @@ def test_many_undetermined_directions_are_named_in_a_few_sentences():
     assert "94 more directions" in said
 
 
+@pytest.mark.slow
 def test_a_singular_plant_is_diagnosed_in_windows():
     found = casid.diagnose(ball(), held(3000)[0], advise=False)
     assert found.verdict == "adequate"

@@ -70,6 +70,7 @@ def in_si(values: float, unit: str) -> float:
     return float(to_si(values, unit))
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(units=st.fixed_dictionaries({n: st.sampled_from(u) for n, u in OTHERS.items()}))
 def test_the_fit_and_its_error_bars_are_those_in_si_converted(units):

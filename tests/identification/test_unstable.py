@@ -82,6 +82,7 @@ def test_segments_are_chosen_and_what_is_held_out_is_simulated_in_windows():
     assert not any("follows the residual" in w for w in found.warnings)
 
 
+@pytest.mark.slow
 def test_a_disturbance_that_the_controller_answers_is_warned_of_and_estimated_on_request():
     """Least squares takes what the controller does about it for the plant's; a filter does not."""
     record = levitated(0.3)

@@ -106,6 +106,7 @@ def test_the_inertias_are_the_published_ones():
         assert -values["d"] / without.matrices(values)[0][1, 1] == pytest.approx(I_2, abs=5e-6)
 
 
+@pytest.mark.slow
 @given(
     k=st.floats(1.0, 100.0), d=st.floats(0.0, 5.0), I_x=st.floats(0.09, 2.0),
     m=st.floats(0.0, 3.0), z_m=st.floats(-0.5, 0.5), T=st.floats(1e-4, 0.5),
@@ -267,6 +268,7 @@ def reconstructed(e, values):
     return np.concatenate([a, *b.values()])
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(
     seed=st.integers(0, 10_000),

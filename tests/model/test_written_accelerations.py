@@ -68,6 +68,7 @@ def test_other_outputs_stay_as_they_are(output, unit):
     assert with_written_accelerations(m) == (m, {})
 
 
+@pytest.mark.slow
 def test_a_missing_force_is_found_where_the_accelerometer_is_written_as_forces():
     """A side wind from 10 s on a car: its force reaches the accelerometer, and is no other's."""
     m = casid.Model("side wind")

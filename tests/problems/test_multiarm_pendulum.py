@@ -85,6 +85,7 @@ def test_without_damping_the_period_is_the_elliptic_integral():
     assert np.mean(np.diff(crossings)) == pytest.approx(wanted, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_noise_free_records_return_the_coefficients():
     record = swing.simulate(duration=10.0, d_2=0.0, noise=0.0)
     settings = casid.FitSettings(starts=1, substeps=4)  # as the simulator

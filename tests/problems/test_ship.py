@@ -156,6 +156,7 @@ def test_the_file_defines_a_problem_of_eight_parameters():
     assert unknown == set(NINE) - {"z_f"} == set(problem.truth)
 
 
+@pytest.mark.slow
 def test_a_fit_of_all_nine_parameters_is_refused_with_what_to_know():
     """The calibration gives one equation, not two: rank 14 of 9 parameters and 6 states."""
     nine = ship.nine_parameters()

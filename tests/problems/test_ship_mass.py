@@ -302,6 +302,7 @@ def test_a_floating_box_is_described_up_to_the_change_of_its_lever_with_heel() -
     assert found["ybar_g"] == pytest.approx(Y, rel=0.05)
 
 
+@pytest.mark.slow
 def test_intervals_of_ballasting_cover_the_truth_as_often_as_they_say() -> None:
     equations = ballasting_equations(BEFORE, AFTER, HULL, rho=(RHO, 0.5), g=G)
     exact = equations.solve()

@@ -92,6 +92,7 @@ def test_drawing_gives_another_record_for_another_seed_and_the_same_for_the_same
     assert np.max(np.abs(first["y"] - other["y"])) > 0.01
 
 
+@pytest.mark.slow
 def test_the_wrong_hold_hides_the_spring_of_the_example():
     """Under `zoh` the cubic spring takes away little of the error, under `foh` nearly all."""
     record = silverbox.simulate(periods=1.0)

@@ -49,6 +49,7 @@ def executed() -> dict[str, str]:
     return {name: cell.outputs[-1]["data"]["text/html"] for name, cell in found}
 
 
+@pytest.mark.slow
 def test_an_executed_notebook_shows_every_kind_of_object(executed):
     for name, words in {
         "model": ("<math", "B_1", "0 .. 5"),

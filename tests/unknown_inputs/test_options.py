@@ -64,6 +64,7 @@ def z_scores(row: OptionRow) -> Array:
 # -- the table ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_one_call_gives_one_row_an_option_and_one_table() -> None:
     found = on_telegraph()
     assert tuple(r.option for r in found.rows) == OPTIONS
@@ -214,6 +215,7 @@ def limit_with_neglected_noise(record: casid.Record, noise_a: float, noise: floa
     return np.asarray(found.x * truth)
 
 
+@pytest.mark.slow
 def test_input_noise_taken_as_exact_biases_by_the_amount_predicted() -> None:
     """The estimate is at its predicted limit, not at the truth, and far from it."""
     noise_a = 1.0

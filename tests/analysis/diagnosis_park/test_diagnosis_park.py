@@ -119,6 +119,7 @@ def test_sensitivities_by_steps_are_those_of_whole_simulations() -> None:
 # -- cases ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_case_shows_the_energy_that_is_drawn_and_comes_again_the_same() -> None:
     system = replace(SYSTEMS["motor"], N=600)
     one, again = (make(Case("motor", 1, 2), system) for _ in range(2))
@@ -166,6 +167,7 @@ def test_the_closed_form_has_its_published_values() -> None:
     assert probability_right(50, 0.0) == pytest.approx(norm.cdf(5) ** 2 + norm.cdf(-5) ** 2)
 
 
+@pytest.mark.slow
 def test_the_oracle_finds_a_spring_that_hardens_between_two_bodies() -> None:
     system = SYSTEMS["two_mass"]
     bench = bench_of(system, 300)
@@ -224,6 +226,7 @@ def test_a_park_of_wrong_names_misses_its_targets_and_one_of_right_names_meets_t
     assert {"right name", "wrong name without a flag", "motor: false alarms"} <= missed
 
 
+@pytest.mark.slow
 def test_the_study_runs_a_record_and_goes_on_where_it_was(tmp_path: Path) -> None:
     """A null of the motor: its row, tables and targets; the second call has nothing to do."""
     options = ["--quick", "--systems", "motor", "--first", "1", "--records", "1"]

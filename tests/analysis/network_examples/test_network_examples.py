@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from analysis.network_examples.study import STUDY
 
 
+@pytest.mark.slow
 def test_every_number_of_the_examples_meets_its_target(tmp_path, capsys):
     assert STUDY.main(["--quick", "--runs", "10", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out

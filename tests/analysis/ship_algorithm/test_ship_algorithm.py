@@ -198,6 +198,7 @@ def test_along_the_family_only_zbar_m_stays(found, family):
     assert "identifiable whatever the choice" in str(moved)
 
 
+@pytest.mark.slow
 def test_slopes_at_the_truth_are_those_of_the_thesis(family):
     """Section 8.6, per metre of z_f: k -238.0 N m/rad, A_x -0.0618 kg m^2, and so on."""
     names = [n for n in TRUTH if n != "z_f"]

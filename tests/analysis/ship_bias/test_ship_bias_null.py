@@ -102,6 +102,7 @@ def test_the_noise_of_the_inputs_has_no_part_in_the_estimate_that_is_tested():
     assert np.mean(squares) > 4 * spread
 
 
+@pytest.mark.slow
 def test_a_gyro_that_comes_late_is_found_on_the_same_ship():
     """By half a sample; which clock it is that is wrong, refits have to tell."""
     _, table = scored(100, late=10)

@@ -120,6 +120,7 @@ def test_what_the_roll_balance_leaves_out_is_refused_by_name():
 # -- the formulas --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_formulas_are_the_model_identically_in_all_letters():
     """(8.33)-(8.35) and (8.22) are its rows; (8.27)-(8.36) follow, whatever G, F and A to H are."""
     assert not any(hull_residue())

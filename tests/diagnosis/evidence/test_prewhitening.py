@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -54,6 +55,7 @@ def record(seed: int) -> casid.Record:
     return casid.Record(columns, {"T": "N m", "w1": "rad/s", "w2": "rad/s"}, Ts=TS)
 
 
+@pytest.mark.slow
 def test_what_a_bound_holds_under_a_large_force_is_fitted_under_that_force_from_its_start():
     """Gusts move the rotor far more than its shaft twists: where it is rigid, nothing says so."""
     experiment = casid.Experiment(record(1), {}, "r")

@@ -90,6 +90,7 @@ def test_a_short_record_or_nothing_at_all_has_no_peak():
     assert find_peaks([np.zeros((400, 1))], [Ts]) == []
 
 
+@pytest.mark.slow
 def test_a_periodic_torque_is_found_and_recovered_from_a_record():
     """From its peak: frequency within 1/(10 T), amplitude within a tenth of the truth."""
     record = truth.cart_pendulum("periodic_disturbance", 0.5, 3, duration=40.0, Ts=Ts)

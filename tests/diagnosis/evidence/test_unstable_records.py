@@ -181,6 +181,7 @@ def test_what_a_command_does_is_seen_although_windows_begin_in_states_of_their_o
     assert 0.5 < command.step / 1.5e-3 < 2.0  # a first step, linear over windows that are not
 
 
+@pytest.mark.slow
 def test_an_adequate_model_of_an_unstable_plant_is_called_adequate():
     """The errors of simulations over windows are those of the sensors.
 

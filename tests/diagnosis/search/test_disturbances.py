@@ -123,6 +123,7 @@ def test_spikes_of_a_sensor_are_told_in_a_sea() -> None:
     assert size == pytest.approx(8 * SD, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_much() -> None:
     """Drag is a law in any sea; a righting moment that changes half-way follows this one."""
     once = FitSettings(starts=1)
@@ -148,6 +149,7 @@ def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_m
     assert [c.effect.kind for c, _ in search.refused] == ["parameter_jump"]
 
 
+@pytest.mark.slow
 def test_a_model_with_an_effect_is_no_less_likely_in_a_sea_than_without_it() -> None:
     """It has the other one in it, whatever disturbance its own residual suggests."""
     once, model = FitSettings(starts=1), hull().model

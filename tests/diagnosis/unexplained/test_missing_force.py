@@ -60,6 +60,7 @@ def test_the_curve_is_the_force_up_to_what_the_parameters_absorb():
     assert np.abs(bend).max() > 5 * np.median(d.sd)  # the last knots are met by few samples
 
 
+@pytest.mark.slow
 def test_a_record_without_an_effect_has_no_missing_force():
     """Eight records at the rate of 5 %: three or more have a probability below 0.6 %."""
     alarms = sum(bool(missing("none", seed).dependences) for seed in range(20, 28))

@@ -100,6 +100,7 @@ def test_the_equations_are_the_slope_of_the_likelihood_of_errors_in_variables() 
         assert score[i] == pytest.approx(slope, rel=0.03)
 
 
+@pytest.mark.slow
 def test_estimates_with_a_noisy_input_scatter_about_the_truth_as_their_errors_say() -> None:
     """20 records: least squares is wrong by several standard errors, the estimate by none."""
     truth, z, plain = np.array([A, B]), [], []

@@ -16,6 +16,7 @@ from tests.estimation.intervals.test_profile import (
 )
 
 
+@pytest.mark.slow
 def test_of_a_linear_model_they_are_those_of_the_standard_error(monkeypatch):
     """An end of 2.5 % from n draws scatters by sqrt(0.025 0.975 / n) / phi(1.96) = 0.22 errors.
 

@@ -114,6 +114,7 @@ def estimates(instruments_of, seeds):
     return np.array(out)
 
 
+@pytest.mark.slow
 def test_a_wrong_black_box_costs_variance_and_not_consistency():
     """r_hat = a lag of the rudder that has nothing to do with the ship, 4 draws.
 

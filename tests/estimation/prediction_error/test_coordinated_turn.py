@@ -190,6 +190,7 @@ def test_errors_of_smoothed_speeds_are_as_large_as_said() -> None:
         assert abs(np.mean(values) - 1) < 4 * np.sqrt(2 / len(values)), name
 
 
+@pytest.mark.slow
 def test_levels_of_a_track_are_found_within_their_errors() -> None:
     record, x = drawn(1500, 0.5, 100)
     track = smooth_track(record)
@@ -236,6 +237,7 @@ def zigzag(
     return record, u[every], v[every], x[:, 2]
 
 
+@pytest.mark.slow
 def test_a_zigzag_is_smoothed_though_samples_miss_and_noise_is_unequal() -> None:
     noise = np.tile([0.3, 0.3, 0.004], (600, 1))
     noise[300:450, 0] = 3.0  # one coordinate is ten times worse for a while

@@ -77,6 +77,7 @@ def fit(run: casid.Record, hold: str = "zoh") -> casid.Estimate:
 # -- outputs --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_estimate_with_a_fifth_missing_lies_within_its_error_bars():
     """chi^2 of 2 parameters over 12 records: 24 degrees of freedom, mean 24 and sd 7."""
     total, widths = 0.0, []

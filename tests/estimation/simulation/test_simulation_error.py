@@ -216,6 +216,7 @@ def test_experiments_that_share_nothing_are_fitted_as_if_alone():
             )
 
 
+@pytest.mark.slow
 def test_a_shared_spring_and_a_mass_of_each_record_are_told_apart():
     a, b = experiment(name="a"), experiment(m=3.0, seed=4, name="b")
     e = casid.identify(problem(), [a, b], settings=replace(EXACT, own=("m",)))

@@ -57,6 +57,7 @@ def test_an_exponential_has_the_standard_errors_of_its_closed_form():
     assert r["p"].partner == "g1"
 
 
+@pytest.mark.slow
 def test_expected_errors_are_the_spread_of_repeated_estimates():
     """Cramer-Rao is reached in the limit; p and g are nearly linear at 2 % noise."""
     model, record = decay(T=6.0)

@@ -194,6 +194,7 @@ def zeros_ones_and_expressions(matrix: Any) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_the_pendulum_reduces_to_the_form_of_the_thesis() -> None:
     """(7.21), rank 5; sub-matrices (7.22) decide what is identifiable together (table 7.1)."""
     O = observability_matrix(pendulum(moved=True))  # noqa: E741

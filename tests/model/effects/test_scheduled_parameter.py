@@ -82,6 +82,7 @@ def diagnosed(slope: float, seed: int, of: str = "d") -> casid.Diagnosis:
     return casid.diagnose(problem(), record(slope, seed, of=of), advise=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("of", "slope", "value"), [("d", 0.5, DAMPING), ("k", -0.1, STIFFNESS)], ids="dk"
 )

@@ -189,6 +189,7 @@ def test_a_noisy_sensor_biases_what_uses_it_and_no_instrument() -> None:
     assert "noisy sensors on w1 (errors in variables)" in rows["true relation, PEM"].remark
 
 
+@pytest.mark.slow
 def test_the_thesis_network_has_its_indirect_model_offered() -> None:
     """(4.31): with w5 unknown, w4 takes its place for G23, which immersion changes."""
     found = network_remedies(network8, (2, 3), Orders(nb=1, nf=1), ways=("PEM", "IV"))

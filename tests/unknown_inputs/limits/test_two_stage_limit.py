@@ -51,6 +51,7 @@ def test_in_a_linear_structure_it_is_least_squares_with_a_first_stage() -> None:
         assert found.residual_variance == pytest.approx(stacked.residual_variance, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_two_stages_are_those_of_a_simulation() -> None:
     """150 runs of N = 1500, both stages estimated; 3.5 Monte Carlo standard errors and O(1/N)."""
     orders, runs, N = Orders(nb=1, nf=1), 150, 1500

@@ -241,6 +241,7 @@ def indirect_truth() -> dict[str, float]:
     return truth8(2, (1, 3)) | own
 
 
+@pytest.mark.slow
 def test_the_indirect_model_is_errors_in_variables_biased_and_instruments_mend_it():
     N, truth = 10_000, indirect_truth()
     record = simulate_network(INDIRECT, N, seed=7)

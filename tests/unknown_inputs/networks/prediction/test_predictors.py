@@ -168,6 +168,7 @@ def test_a_simulated_network_has_the_moments_of_its_equations():
 # -- the errors-in-variables filter ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_eiv_filter_has_white_innovations_and_the_stated_error_variances():
     """(6.21): L_j - L_j^2/Le for w_j, L_I - (L_I D_I)^2/Le for w_I, unit variances."""
     f = eiv_filter(network, 2)
