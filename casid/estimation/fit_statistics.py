@@ -35,12 +35,15 @@ def poor_fit_text(fits: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def rms(error: Array) -> Array:
-    """(ny,) root mean square of the columns, NaN left out."""
+    """(ny,) root mean square of the columns, NaN left out; NaN of a column without a number."""
     with np.errstate(all="ignore"):
-        return np.asarray(np.sqrt(np.nanmean(error**2, axis=0)))
+        there = np.sum(~np.isnan(error), axis=0)
+        return np.asarray(np.sqrt(np.nansum(error**2, axis=0) / there))
 
 
 def nrmse_fit(measured: Array, error: Array) -> Array:
     """(ny,) 100 (1 - |y - yhat| / |y - mean y|) per cent, NaN left out."""
-    spread = np.nansum((measured - np.nanmean(measured, axis=0)) ** 2, axis=0)
+    with np.errstate(all="ignore"):
+        mean = np.nansum(measured, axis=0) / np.sum(~np.isnan(measured), axis=0)
+    spread = np.nansum((measured - mean) ** 2, axis=0)
     return np.asarray(100 * (1 - np.sqrt(np.nansum(error**2, axis=0) / np.maximum(spread, TINY))))

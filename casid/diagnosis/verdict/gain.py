@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, BoolArray
 from casid.data.channel_quality import quantisation_step
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.prewhitening import Weighted
@@ -28,29 +28,32 @@ from casid.identification.signs_from_simulation import WrongSign
 def rmse(
     fit: Fit, reference: Fit, split: Split, limits: dict[str, float], *, held: bool
 ) -> dict[str, float]:
-    """Rms error by output over all records.
+    """Rms error by output over all records, of those that have a sample there.
 
     Samples that `reference` clips are left out, and the first samples of its delayed or lagging
     outputs, which depend on inputs before the record.
     """
     outputs = fit.criterion.outputs
+    counted: list[BoolArray] = []
     parts: list[Array] = []
     for e in range(len(split.whole)):
         d, y, _ = whole_simulation(fit, split, e)
         _, best, _ = whole_simulation(reference, split, e)
-        error = np.where(d.used & ~reference.criterion.due_to_earlier(d), d.y - y, np.nan)
+        counts = d.used & ~reference.criterion.due_to_earlier(d)
         for name, level in limits.items():
             i = outputs.index(name)
-            error[np.abs(best[:, i]) >= FUNCTIONS.at_limit * level, i] = np.nan
-        parts.append(error[split.held[e]] if held else error[~split.held[e]])
+            counts[np.abs(best[:, i]) >= FUNCTIONS.at_limit * level, i] = False
+        part = split.held[e] if held else ~split.held[e]
+        counted.append(counts[part])
+        parts.append(np.where(counts, d.y - y, np.nan)[part])
     if held:
         for experiment in split.apart:
             d, y, _ = simulate_apart(fit, experiment)
+            counted.append(d.used)
             parts.append(np.where(d.used, d.y - y, np.nan))
-    stacked = np.concatenate(parts)
-    if not len(stacked):
-        return {}
-    return dict(zip(outputs, rms(stacked).tolist(), strict=True))
+    is_measured = np.any(np.concatenate(counted), axis=0).tolist()
+    errors = zip(outputs, rms(np.concatenate(parts)).tolist(), is_measured, strict=True)
+    return {name: error for name, error, measured in errors if measured}
 
 
 def clipping_limits(fit: Fit) -> dict[str, float]:
@@ -156,7 +159,7 @@ def unlike_held_out(
     mean = chi2.isf(RESIDUAL.held_out_chance, free) / free
     by_chance = dict(zip(found.at.criterion.outputs, mean.tolist(), strict=True))
     for output, error in held.get("baseline_rmse", {}).items():
-        inside = fitted["baseline_rmse"][output]
+        inside = fitted["baseline_rmse"].get(output, math.nan)
         floor = fitted["noise_floor"][output]
         chance = np.sqrt(by_chance[output] + by_estimates.get(output, 0.0))
         if error > max(JUDGING.unlike * max(inside, floor), chance * floor):
