@@ -57,6 +57,12 @@ class Sufficiency:
     alpha: float = _is(0.01, "level of that correlation, over all lags and inputs", _SUFFICIENCY)
     clock_gaps: int = _is(3, "rows with a value that show another clock, at least", _SUFFICIENCY)
     clock_share: float = _is(0.95, "of rows that keep that clock", _SUFFICIENCY)
+    moved: float = _is(
+        0.2,
+        "of the simulated motion, the rms that a disturbance adds, beyond which no likelihood "
+        "tells laws of that motion apart: their kinks at rest are rounded off as far",
+        f"{TESTS}/search/test_alternatives.py",
+    )
 
 
 _PLATEAUS = f"{TESTS}/evidence/test_plateaus.py"

@@ -21,8 +21,9 @@ from casid.diagnosis.evidence.prewhitening import Weighted, use_samples_of
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.candidates import Candidate, Rival, name_of
 from casid.diagnosis.search.joint_refit import Refitting
-from casid.diagnosis.thresholds import COMPARISON
+from casid.diagnosis.thresholds import COMPARISON, SUFFICIENCY
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.estimation.fit_statistics import rms
 from casid.model.effects.effect import HYSTERESIS_SHAPE
 from casid.time_limit import seconds_left
 
@@ -207,9 +208,14 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
     Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence;
     where it absorbs misfit, gains are no likelihoods, and Vuong's test counts as well. The best
     come first, and of those that are the same thing in this model the one named by convention.
+
+    Nor does a likelihood tell laws of one balance apart where a disturbance adds much to the motion
+    that is simulated: a law acts on the sum of both. Its mean over the motion that is not simulated
+    is smooth, and a drag that grows with the square looks like one that grows with the cube.
     """
     out = []
     mine = _losses(best)
+    is_blurred = bool(at.noise.spectra) and _share_moved_beside(best) > SUFFICIENCY.moved
     for c in found:
         if c is best or c.effect.key == best.effect.key:
             continue
@@ -222,6 +228,7 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
         if c.merit > best.merit and 2 * total > COMPARISON.strong and p < COMPARISON.vuong_p:
             continue  # better only by more noise of the inputs than there is
+        is_open |= is_blurred and is_near_law(best, c)
         if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))
     same = COMPARISON.same
@@ -238,6 +245,24 @@ def near_ones(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         return ()
     least = COMPARISON.near_share * best.merit
     return tuple(c for c in found if c is not best and c.merit > max(least, 0.0))
+
+
+def is_near_law(best: Candidate, other: Candidate) -> bool:
+    """True of another law of the same balance that explains nearly as much."""
+    places = {c.effect.where.partition(":")[0] for c in (best, other)}
+    is_lasting = not (is_imitator(best) or is_imitator(other))
+    return len(places) == 1 and is_lasting and other.merit > COMPARISON.near_share * best.merit
+
+
+def _share_moved_beside(c: Candidate) -> float:
+    """The rms of what the simulation leaves over that of its motion, of the output it does best."""
+    left, moved = [], []
+    for e in range(len(c.fit.criterion.data)):
+        at = c.fit.criterion.simulated(c.fit.x, e)
+        left.append(at.residual)
+        moved.append(at.y - at.y.mean(axis=0))
+    sizes = rms(np.concatenate(moved))
+    return float(np.min(rms(np.concatenate(left)) / np.maximum(sizes, TINY)))
 
 
 def _losses(c: Candidate) -> Array:

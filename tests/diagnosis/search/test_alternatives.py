@@ -15,11 +15,12 @@ from casid.diagnosis.search.alternatives import (
     laws_before_memory,
     near_ones,
     p_value,
+    rivals_of,
     without_imitations,
 )
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import COMPARISON
-from casid.model.effects.balance_effects import cubic_damping
+from casid.model.effects.balance_effects import cubic_damping, quadratic_damping
 from casid.model.effects.contact_effects import end_stop
 from casid.model.effects.effect import Effect
 from casid.model.effects.friction_effects import hysteresis
@@ -110,6 +111,34 @@ def test_what_explains_nearly_as_much_is_compared_again_where_misfit_passed_for_
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("share", "is_told"), [(0.1, True), (0.3, False)])
+def test_a_disturbance_that_moves_the_rate_rounds_off_the_kink_of_a_quadratic_law(
+    share: float, is_told: bool
+) -> None:
+    """The mean of |w + v|(w + v) over a normal v is smooth at w = 0, as w + w^3 is."""
+    square = quadratic_damping(MODEL, "torque")
+    motion = np.sin(np.linspace(0.0, 60.0, 600))[:, None]
+    left = share * np.random.default_rng(4).normal(0.0, np.sqrt(0.5), motion.shape)
+
+    def found(effect: Effect, gain: float) -> Candidate:
+        """Of each sample the same part of what it gains."""
+        simulated = SimpleNamespace(y=motion, residual=left)
+        criterion = SimpleNamespace(
+            data=[None],
+            simulated=lambda *_: simulated,
+            columns=lambda *_: (np.full_like(motion, np.sqrt(2 - gain / motion.size)), None),
+        )
+        fit: Any = SimpleNamespace(criterion=criterion, x=None)
+        return Candidate(effect, (), MODEL, fit, gain, 0.0, 0.0)
+
+    at: Any = SimpleNamespace(
+        noise_absorbs_misfit=False, noise=SimpleNamespace(spectra={"torque": None})
+    )
+    cube, jump = found(LAW, 500.0), found(JUMP, 490.0)
+    rivals = rivals_of(at, cube, [cube, found(square, 480.0), jump])
+    assert [r.candidate.effect.kind for r in rivals] == ([] if is_told else ["quadratic_damping"])
+
+
 def test_of_a_bias_and_a_gain_about_where_a_level_stays_the_bias_is_named() -> None:
     """A h' = q - c sqrt(h) has the gain 1 + s in h with (1 + s) A and sqrt(1 + s) c.
 
