@@ -294,10 +294,10 @@ def bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:
     p = problem.model.parameters[name.partition("@")[0]]
     lower, upper = (problem.model.shown(p.name, end) for end in (p.lower, p.upper))
     return (
-        "A wrong sign of a channel drives a parameter to its bound: compare the sensors' axes with "
-        "the model's, channel by channel "
-        "(casid.identification.signs_from_moments.sign_flips tests each). "
-        f"Where the signs are right and the bound is not physical, widen it (lower={lower:g}, "
+        "A wrong sign or unit of a channel drives a parameter to its bound: check signs, units and "
+        "the mapping of the channels (casid.identification.signs_from_moments.sign_flips tests "
+        "each sign). "
+        f"Where they are right and the bound is not physical, widen it (lower={lower:g}, "
         f"upper={upper:g} of {p.name} in the problem file); where it is, give {p.name} that "
         f"value (--set {p.name}=VALUE) and diagnose again."
     )
