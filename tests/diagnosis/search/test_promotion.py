@@ -72,7 +72,7 @@ def test_what_leaves_clearly_more_is_no_rival_for_the_noise_that_it_makes_of_the
     best = fitted(judged(CUBIC, 100.0, 0.0), white)
     friction = coulomb_friction(MODEL, "torque", 0.01)
     other = fitted(judged(friction, 400.0, 0.0), white * np.sqrt(1 + more))
-    at: Any = SimpleNamespace(noise_absorbs_misfit=False)
+    at: Any = SimpleNamespace(noise_absorbs_misfit=False, noise=SimpleNamespace(spectra={}))
     assert [r.candidate for r in rivals_of(at, best, [best, other])] == [other] * is_rival
 
 
