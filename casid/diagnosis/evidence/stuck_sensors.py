@@ -55,10 +55,13 @@ def find_standstills(
         return None
     steps = np.concatenate([_steps(y, u) for y, u in zip(measured, used, strict=True)])
     moving = steps[steps > 0.0]
-    if len(moving) < CLIPPING.samples_per_plateau or not _has_noise(measured, used):
+    if len(moving) < CLIPPING.samples_per_plateau:
+        return None
+    step = quantisation_step(np.concatenate([y[u] for y, u in zip(measured, used, strict=True)]))
+    if not _has_noise(measured, used, step):
         return None
     leap = CLIPPING.leap * float(np.quantile(moving, 0.95))
-    always_noisy = _is_noisy_at_rest(measured, used)
+    always_noisy = _is_noisy_at_rest(measured, used, step)
     for e, (y, s) in enumerate(zip(measured, simulated, strict=True)):
         for first, last in runs[e]:
             n = last - first
@@ -96,9 +99,8 @@ def _steps(y: Array, used: Array) -> Array:
     return np.asarray(np.abs(np.diff(y))[used[1:] & used[:-1]])
 
 
-def _has_noise(measured: Sequence[Array], used: Sequence[Array]) -> bool:
+def _has_noise(measured: Sequence[Array], used: Sequence[Array], step: float | None) -> bool:
     """True if readings differ at rest: the noise is more than half a step of the converter."""
-    step = quantisation_step(np.concatenate([y[u] for y, u in zip(measured, used, strict=True)]))
     if step is None:
         return True
     bends = [np.diff(y, 2)[u[2:] & u[1:-1] & u[:-2]] for y, u in zip(measured, used, strict=True)]
@@ -106,12 +108,11 @@ def _has_noise(measured: Sequence[Array], used: Sequence[Array]) -> bool:
     return bool(noise > 0.5 * step)
 
 
-def _is_noisy_at_rest(measured: Sequence[Array], used: Sequence[Array]) -> bool:
+def _is_noisy_at_rest(measured: Sequence[Array], used: Sequence[Array], step: float | None) -> bool:
     """True if readings differ by more than a step of the converter wherever they hardly move.
 
     Windows of equal readings alone are left out: whether these are the sensor's is the question.
     """
-    step = quantisation_step(np.concatenate([y[u] for y, u in zip(measured, used, strict=True)]))
     if step is None:
         return True
     noise: list[float] = []

@@ -226,9 +226,9 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         p = float(norm.sf(total / sd)) if sd > 0 else 1.0
         is_near = c.merit > COMPARISON.vuong_share * best.merit
         is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
+        is_open |= is_blurred and _is_near_law(best, c)
         if c.merit > best.merit and 2 * total > COMPARISON.strong and p < COMPARISON.vuong_p:
             continue  # better only by more noise of the inputs than there is
-        is_open |= is_blurred and is_near_law(best, c)
         if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))
     same = COMPARISON.same
@@ -247,7 +247,7 @@ def near_ones(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
     return tuple(c for c in found if c is not best and c.merit > max(least, 0.0))
 
 
-def is_near_law(best: Candidate, other: Candidate) -> bool:
+def _is_near_law(best: Candidate, other: Candidate) -> bool:
     """True of another law of the same balance that explains nearly as much."""
     places = {c.effect.where.partition(":")[0] for c in (best, other)}
     is_lasting = not (is_imitator(best) or is_imitator(other))

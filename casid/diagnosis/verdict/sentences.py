@@ -141,11 +141,16 @@ def says_kind(
     )
 
 
+def _drift_time(effect: Effect) -> str:
+    """From when to when an effect drifts."""
+    start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
+    return f"from {start} to {stop}"
+
+
 def _says_constant(effect: Effect) -> str:
     """A constant term or a bias that has more to it than its kind, in words, or an empty text."""
     if "stop" in effect.constants:
-        start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
-        return f"{effect.description} (its size is what it grows to from {start} to {stop})"
+        return f"{effect.description} (its size is what it grows to {_drift_time(effect)})"
     if effect.description == BESIDE_ITS_ZERO:
         acts = f"as {effect.where} - {effect.parameters[0].name}"
         return (
@@ -169,8 +174,7 @@ def says(effect: Effect, column: str = "") -> str:
     if effect.kind in ("offset", "sensor_bias") and (text := _says_constant(effect)):
         return text
     if effect.kind == "parameter_drift" and "stop" in effect.constants:
-        start, stop = (quantity_text(effect.constants[end], "s") for end in ("start", "stop"))
-        change = f"its change is that from {start} to {stop}, its value the one in the middle"
+        change = f"its change is that {_drift_time(effect)}, its value the one in the middle"
         return f"{says_kind(effect.kind, effect.where)} ({change})"
     if effect.is_store:
         return effect.description

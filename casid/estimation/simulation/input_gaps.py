@@ -175,13 +175,11 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
     channels, missing = dict(record.channels), dict(record.missing)
     doubtful, lines = doubtful_inputs(model, record), []
     for name in recorded_inputs(model, record):
-        if name not in doubtful:
-            lines.append(f"{FILLED}{name} has a row at each of its steps: it is held between them")
-            channels[name] = filled(record, name, "zoh")
-            del missing[name]
-            continue
         hold = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
-        alike.setdefault((hold, gaps_of(record.missing[name])), []).append(name)
+        if name in doubtful:
+            alike.setdefault((hold, gaps_of(record.missing[name])), []).append(name)
+        else:
+            lines.append(f"{FILLED}{name} has a row at each of its steps: it is held between them")
         channels[name] = filled(record, name, model.inputs[name].hold)
         del missing[name]
     lines += [_filling(names, hold, gaps, record) for (hold, gaps), names in alike.items()]
