@@ -267,7 +267,7 @@ class _Likelihood:
             h = -h if z[k] + h > v.upper else h
             moved = z[:n].copy()
             moved[k] += h
-            change = self._gains(moved, e, omega)
+            change = self._gains(moved, e, omega, is_beside=True)
             slope = sum(
                 scales[s][:, None, None] * (_outer(change[:, :, i]) - parts[s]) / h
                 for i, s in enumerate(self.sources)
@@ -276,9 +276,9 @@ class _Likelihood:
                 slopes[k] = np.asarray(slope)
         return S, slopes
 
-    def _gains(self, x: Array, e: int, omega: Array) -> Array:
-        """(F, ny, ns) responses to the sources that there are."""
-        r = noise_response(self.criterion, x, e, omega=omega)
+    def _gains(self, x: Array, e: int, omega: Array, *, is_beside: bool = False) -> Array:
+        """(F, ny, ns) responses to the sources that there are; `is_beside` as they have it."""
+        r = noise_response(self.criterion, x, e, omega=omega, is_beside=is_beside)
         assert r.gain is not None
         return r.gain[:, :, [r.sources.index(s) for s in self.sources]]
 

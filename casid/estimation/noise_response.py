@@ -25,6 +25,9 @@ from casid.model.explicit_form import Explicit
 from casid.model.model import Model
 from casid.model.units import unit_quotient
 
+POINTS = 200
+"""Samples of a record at which a model that is not linear is linearised."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
@@ -37,7 +40,12 @@ class Response:
 
 
 def noise_response(
-    criterion: SimulationError, x: Array, experiment: int, *, omega: Array | None = None
+    criterion: SimulationError,
+    x: Array,
+    experiment: int,
+    *,
+    omega: Array | None = None,
+    is_beside: bool = False,
 ) -> Response:
     """|G|^2 from measured inputs, balances and stated rates to the outputs, linearised on average.
 
@@ -47,29 +55,18 @@ def noise_response(
     Parameters
     ----------
     omega : (F,) rad/sample, above 0; default even from 0 to pi, as finely as the record resolves.
+    is_beside : `x` is no point of the search, whose sensitivities would be of use afterwards.
     """
     if omega is not None and criterion.model.stages:
         # What sensors and actuators do beyond expressions is transformed on an even grid.
-        even = noise_response(criterion, x, experiment)
+        even = noise_response(criterion, x, experiment, is_beside=is_beside)
         assert even.gain is not None
         places = np.clip(np.searchsorted(even.omega, omega), 0, len(even.omega) - 1)
         gain = even.gain[places]
         return Response(omega, np.abs(gain) ** 2, even.sources, gain)
+    disturbed, e, (a, b0, b1, c, dd) = _mean_slopes(criterion, x, experiment, is_beside=is_beside)
     model, d = criterion.model, criterion.data[experiment]
-    p, _ = criterion.parameter_vector(x, experiment)
-    states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
-    disturbed, e, jac = criterion.built(
-        ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
-    )
     forced = places_of_forces(model)
-    # Equivalent linearisation: the mean of the derivatives over the record, so that kinks and
-    # amplitude-dependent terms count by how often they are met.
-    pick = np.linspace(0, d.N - 1, min(d.N, 200)).astype(int)
-    u = np.hstack([d.u[pick], np.zeros((len(pick), len(forced)))])
-    at_points = jac.map(len(pick))(states[pick].T, u.T, u.T, np.tile(p[:, None], (1, len(pick))))
-    a, b0, b1, c, dd = (np.array(m).reshape(m.shape[0], len(pick), -1) for m in at_points)
-    a, c = a.mean(axis=1), c.mean(axis=1)
-    b0, b1, dd = np.split(_gains(np.concatenate([b0, b1, dd])), [len(a), 2 * len(a)])
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
     if omega is None:
         # As fine as the record resolves: a lightly damped resonance is narrower than that already.
@@ -89,6 +86,36 @@ def noise_response(
         spectrum = filled_spectrum(d.filled[name], model.inputs[name].hold, omega)
         g[:, :, measured.index(name)] *= np.sqrt(spectrum)[:, None]
     return Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
+
+
+def _mean_slopes(
+    criterion: SimulationError, x: Array, experiment: int, *, is_beside: bool
+) -> tuple[Model, Explicit, tuple[Array, ...]]:
+    """The model with a force in each balance, its equations, and the mean slopes of a sample.
+
+    Equivalent linearisation: the mean of the derivatives over the record, so that kinks and
+    amplitude-dependent terms count by how often they are met.
+    """
+    d = criterion.data[experiment]
+    disturbed, e, slopes, is_constant = criterion.built(
+        ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
+    )
+    if is_constant:
+        states = np.zeros((1, len(e.states)))
+    elif is_beside:
+        states = criterion.simulate(x, experiment)[1]
+    else:
+        states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
+    points = min(len(states), POINTS)
+    pick = np.linspace(0, len(states) - 1, points).astype(int)
+    u = np.hstack([d.u[pick], np.zeros((points, len(e.inputs) - d.u.shape[1]))])
+    p = np.tile(criterion.parameter_vector(x, experiment)[0][:, None], (1, points))
+    mapped = criterion.built(("noise response", d.Ts, points), lambda: slopes.map(points))
+    found = mapped(states[pick].T, u.T, u.T, p)
+    a, b0, b1, c, dd = (np.array(m).reshape(m.shape[0], points, -1) for m in found)
+    sizes = _gains(np.concatenate([b0, b1, dd]))
+    b0, b1, dd = np.split(sizes, [a.shape[0], 2 * a.shape[0]])
+    return disturbed, e, (a.mean(axis=1), b0, b1, c.mean(axis=1), dd)
 
 
 def _gains(at_points: Array) -> Array:
@@ -112,10 +139,11 @@ def _gains(at_points: Array) -> Array:
     return np.asarray(out)
 
 
-def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any]:
+def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
     """The model with a force in each balance, its equations, and the derivatives of a sample.
 
-    The function takes states, inputs, inputs at the next sample and parameters.
+    The function takes states, inputs, inputs at the next sample and parameters; last whether it
+    depends on parameters alone.
     """
     model = criterion.model.copy()
     # What lags before the simulation moves in lines of its own; sensors come after it.
@@ -124,18 +152,11 @@ def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit,
     e = disturbed.explicit()
     u_next = ca.SX.sym("un", len(e.inputs))
     xs = rk4_sample(disturbed, e, u_next, Ts, criterion.substeps)
-    jac = ca.Function(
-        "lin",
-        [e.x, e.u, u_next, e.p],
-        [
-            ca.jacobian(xs, e.x),
-            ca.jacobian(xs, e.u),
-            ca.jacobian(xs, u_next),
-            ca.jacobian(e.h, e.x),
-            ca.jacobian(e.h, e.u),
-        ],
-    )
-    return disturbed, e, jac
+    slopes = [ca.jacobian(xs, of) for of in (e.x, e.u, u_next)]
+    slopes += [ca.jacobian(e.h, of) for of in (e.x, e.u)]
+    moving = ca.veccat(e.x, e.u, u_next)
+    is_constant = not ca.depends_on(ca.veccat(*slopes), moving)
+    return disturbed, e, ca.Function("lin", [e.x, e.u, u_next, e.p], slopes), is_constant
 
 
 def _input_stages(
