@@ -174,33 +174,35 @@ class _Selection:
     def _extend(self, news: Sequence[Adopted]) -> str:
         """Extend the model; why its errors speak against it, or an empty text."""
         best, weighing = news[-1].candidate, self.search.weighing
-        fit = whole_fit(best.model, self.split, self.settings, self.units, best.fit.values)
-        errors = self._errors(best, fit)
+        whole = partial(
+            whole_fit, best.model, self.split, self.settings, self.units, best.fit.values
+        )
+        is_disturbed = weighing.takes_disturbances
+        fit = None if is_disturbed else whole()
+        errors = simulation_errors(fit, self.split, self.units) if fit else self._errors(best)
         why = why_not_adopted(self.errors, errors, is_alarm=news[0].is_alarm)
-        why = why or _why_undetermined(self.fit, fit, best)
         why = why or why_worse(self.before.continued, errors.continued)
-        if not why:
-            at = weighing.weigh(best.model, fit, rounds=1)
-            if weighing.takes_disturbances:
-                # Under the disturbance, unless the simulation by itself then goes astray.
-                if why_much_worse(self.fit, at.fit, self.split):
-                    old, new = (
-                        simulation_errors(f, self.split, self.units) for f in (self.fit, fit)
-                    )
-                    why = why_not_adopted(old, new)
-                else:
-                    fit = at.fit
-        if not why:
-            self.errors, self.fit, self.at = errors, fit, at
-            self.adopted += news
-        return why
+        if why:
+            return why
+        fit = fit or whole()
+        if why := _why_undetermined(self.fit, fit, best):
+            return why
+        at = weighing.weigh(best.model, fit, rounds=1)
+        if is_disturbed:
+            # Under the disturbance, unless the simulation by itself then goes astray.
+            if why_much_worse(self.fit, at.fit, self.split):
+                old, new = (simulation_errors(f, self.split, self.units) for f in (self.fit, fit))
+                if why := why_not_adopted(old, new):
+                    return why
+            else:
+                fit = at.fit
+        self.errors, self.fit, self.at = errors, fit, at
+        self.adopted += news
+        return ""
 
-    def _errors(self, c: Candidate, fit: Fit) -> SimulationErrors:
-        """The errors of a model; under disturbances those of its fit under their noise."""
-        weighing = self.search.weighing
-        if not weighing.takes_disturbances:
-            return simulation_errors(fit, self.split, self.units)
-        noise = self.start.noise
+    def _errors(self, c: Candidate) -> SimulationErrors:
+        """The errors of a model fitted under the noise with disturbances."""
+        weighing, noise = self.search.weighing, self.start.noise
         criterion = weighing.criterion(c.model, noise, c.fit.values, self.start.criterion)
         return simulation_errors(weighing.minimum(criterion), self.split, self.units, noise)
 
