@@ -49,11 +49,13 @@ class Refitting:
         *,
         starts: Mapping[str, float] | None = None,
         near: bool = False,
+        below: float = np.inf,
     ) -> Candidate | None:
         """Fit the model with `effect` in it, from one or several starts of its first parameter.
 
         `starts` of its further parameters, by the effect's own names; `near` where `step` and those
-        are known to be right: no others are tried.
+        are known to be right: no others are tried. A fit that comes neither `below` a value of the
+        criterion nor below the best before it ends early.
         """
         best: Candidate | None = None
         if self.attempts.attempt(name_of(effect), partial(self._runs_away, at, effect)):
@@ -61,14 +63,15 @@ class Refitting:
         for start, upper in _starts(at, effect, step, near=near):
             first = {**(starts or {}), effect.parameters[0].name: start}
             values = {**at.fit.values, **(best.fit.values if best else {})}
+            low = _lower(below, best)
             found = self.attempts.attempt(
-                name_of(effect), partial(self._from, at, effect, first, upper, values)
+                name_of(effect), partial(self._from, at, effect, first, upper, values, low)
             )
             if found is not None and (best is None or found.gain > best.gain):
                 best = found
-        best = self._from_declared_starts(at, effect, starts or {}, 0.0, best)
+        best = self._from_declared_starts(at, effect, starts or {}, 0.0, best, below)
         if is_dead_time(effect):
-            best = self._from_declared_starts(at, effect, starts or {}, step, best)
+            best = self._from_declared_starts(at, effect, starts or {}, step, best, below)
         if best is None:
             return None
         best = self._with_more_room(at, best)
@@ -98,6 +101,7 @@ class Refitting:
         starts: Mapping[str, float],
         step: float,
         best: Candidate | None,
+        below: float,
     ) -> Candidate | None:
         """The better of `best` and a fit from where the user would start, the effect from `step`.
 
@@ -112,7 +116,7 @@ class Refitting:
                 return best
         start, upper = _starts(at, effect, step, near=True)[0]
         first = {**starts, effect.parameters[0].name: start}
-        afresh = partial(self._from, at, effect, first, upper, {})
+        afresh = partial(self._from, at, effect, first, upper, {}, _lower(below, best))
         found = self.attempts.attempt(name_of(effect), afresh)
         return found if found and (best is None or found.gain > best.gain) else best
 
@@ -123,8 +127,9 @@ class Refitting:
         starts: Mapping[str, float],
         upper: float | None,
         values: Mapping[str, float],
+        below: float = np.inf,
     ) -> Candidate:
-        """The refit from one start; `values` of everything else."""
+        """The refit from one start; `values` of everything else, `below` as in `refit`."""
         model, names = effect.extended(at.model, starts=starts, upper=upper)
         moved = moved_parameter(effect)
         if moved is not None:
@@ -135,7 +140,7 @@ class Refitting:
         criterion = self.weighing.criterion(model, at.noise, values, at.criterion)
         fit = minimize_simulation_error(
             criterion,
-            solver=self.weighing.solver or COMPARED,
+            solver=replace(self.weighing.solver or COMPARED, below=below),
             check_rank=False,
             throw=False,
             retry="none",
@@ -211,6 +216,11 @@ def _is_plausible(at: Weighted, found: Candidate) -> bool:
     effect = found.effect
     size = found.fit.values[found.names[0]] - effect.parameters[0].start
     return abs(size) >= effect.constants.get("least", 0.0) and not is_soft_stop(at, found)
+
+
+def _lower(below: float, best: Candidate | None) -> float:
+    """The value of the criterion that a further start has to reach."""
+    return below if best is None else min(below, best.fit.solution.value)
 
 
 def is_dead_time(effect: Effect) -> bool:

@@ -206,16 +206,19 @@ class Search:
             "the choice of candidates on a part of the records",
             lambda: preselected(refitting, at, scores, self.progress),
         ) or [Start(s) for s in scores]
+        best = 0.0
         for i, start in enumerate(short):
             s = start.score
             self.progress(f"refit {i + 1}/{len(short)}: {name_of(s.effect)}")
+            below = at.fit.solution.value - 0.5 * COMPARISON.relative_gain * best
             candidate = (
-                refitting.refit(at, s.effect, s.step, starts=s.starts)
+                refitting.refit(at, s.effect, s.step, starts=s.starts, below=below)
                 if start.found is None
                 else refitting.again(at, start.found)
             )
             if candidate is not None:
                 found.append(replace(candidate, score=s))
+                best = max(best, candidate.gain)
         if not found:
             return found
         found = placed(refitting, at, found, events_of(adopted), self.progress)

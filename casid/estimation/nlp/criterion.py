@@ -116,7 +116,8 @@ class OnePass:
 
     After `budget` passes, or the time limit, or `patience` shortened steps in which it did not
     fall, there are no values any more: at a kink a search would go on to steps that round to none.
-    The same where `enough` (`Solver.enough`) is reached.
+    The same where `enough` (`Solver.enough`) is reached, or in `steps` steps `below` will not be
+    (`Solver.below`).
 
     Attributes
     ----------
@@ -131,9 +132,12 @@ class OnePass:
         *,
         patience: float = np.inf,
         enough: float = 0.0,
+        below: float = np.inf,
+        steps: int = 0,
     ) -> None:
         self.criterion = criterion
         self.budget, self.patience, self.enough = budget, patience, enough
+        self.below, self.steps = below, steps
         self._taken: list[float] = []  # values at the steps taken
         self.ending = ""
         self.lowest, self.best = np.inf, np.zeros(0)
@@ -179,7 +183,11 @@ class OnePass:
         if not self.ending and _promised_fall(at) <= least:
             self.ending = "Solve_Succeeded"
         before = self._taken[-1 - STALLED :]
-        if not self.ending and len(before) > STALLED and before[0] - self.lowest <= least:
+        if self.ending or len(before) <= STALLED:
+            return
+        fall = before[0] - self.lowest
+        to_come = fall / STALLED * max(self.steps - len(self._taken), 0)
+        if fall <= least or self.lowest - to_come > self.below:
             self.ending = "Search_Direction_Becomes_Too_Small"
 
     def _passed(self, point: Array) -> Evaluation:

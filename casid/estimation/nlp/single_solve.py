@@ -78,9 +78,14 @@ class CriterionProgram:
         barrier = solver.options.get("ipopt.mu_init", np.inf)
         is_near = natural_from is not None and barrier <= FALL
         patience = (PATIENCE_NEAR if is_near else PATIENCE) if self._is_alone else np.inf
-        enough = solver.enough if self._is_alone else 0.0
+        most = solver.max_iterations
         self._one_pass = OnePass(
-            criterion, 5 * solver.max_iterations, patience=patience, enough=enough
+            criterion,
+            5 * most,
+            patience=patience,
+            enough=solver.enough if self._is_alone else 0.0,
+            below=solver.below,
+            steps=most,
         )
         self.evaluate = self._one_pass.judged
         self.options = solver.nlpsol_options()

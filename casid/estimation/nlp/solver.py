@@ -75,12 +75,15 @@ class Solver:
         ``{"qpsol": "daqp"}`` does for "sqpmethod".
     enough : Ipopt ends on a sum of squares without constraints where a step promises to lower it by
         less than this share of it, or some steps together did not lower it by more. 0: nowhere.
+    below : it ends there, too, where the fall of its last steps, kept up for all that it has left,
+        would not bring it below this value: what does not matter need not be exact.
     """
 
     name: str = "ipopt"
     max_iterations: int = 300
     options: Mapping[str, Any] = field(default_factory=dict)
     enough: float = 0.0
+    below: float = math.inf
 
     def nlpsol_options(self) -> dict[str, Any]:
         """Options as `casadi.nlpsol` takes them."""
