@@ -102,7 +102,13 @@ class _Selection:
         return Adoption(tuple(self.adopted), self.at, self.fit)
 
     def adopt_next(self) -> bool:
-        """One round of the search; False where nothing was adopted."""
+        """One round of the search; False where nothing was adopted.
+
+        Nor is anything sought in what a random disturbance leaves: in its presence that has a
+        search of its own.
+        """
+        if self.adopted and self.at.noise_absorbs_misfit and self._is_random():
+            return False
         found = self._significant()
         for best in found:
             if self._adopt([best]):
