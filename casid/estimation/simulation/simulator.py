@@ -22,6 +22,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.simulation.stepping import Step, Stepping, StepSymbols
 from casid.estimation.simulation.thresholds import STEPS
+from casid.estimation.simulation.wide_tangents import WIDE, Known, WideTangents
 from casid.model.declarations import Stage
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
@@ -227,6 +228,8 @@ class Simulator:
         `after` (nu,) is the input one sample after the last, where it is known: x[N] needs it.
         """
         u = self.with_courses(u)
+        if self._wide is not None:
+            return self._wide_sensitivities(u, p, np.ravel(x0), self._stepping.next(u, after))
         nx, nv, ny, nf = self.nx, self.nv, self.ny, len(self._felt)
         nj, columns = len(self.stepping), nv - nx + nf
         start = np.zeros((columns, nf))
@@ -248,14 +251,55 @@ class Simulator:
             dbefore=self._widened(dbefore, nj),
         )
 
+    @functools.cached_property
+    def _wide(self) -> WideTangents | None:
+        """Of so many parameters that one step with all their tangents would be slow."""
+        if len(self._felt) * len(self._columns()) < WIDE or self._stepping.easy:
+            return None
+        e, banded = self.equations, len(self._stepping.banded)
+        place = ca.SX.sym("place", 1 + banded)
+        course = ca.vertsplit(place[1:])
+        at = ca.vertcat(*inputs_within(self.model, e, self._symbols.u_next, place[0], course))
+        return WideTangents(
+            e,
+            at,
+            (self._symbols.u_next, place),
+            self.Ts,
+            felt=self._felt,
+            free=[e.parameters.index(name) for name in self.free],
+            late=self.stepping,
+        )
+
+    def _wide_sensitivities(self, u: Array, p: Array, x0: Array, after: Array) -> Trajectory:
+        assert self._wide is not None
+        xs, y, _ = self._stepping.run(self._plain_step, x0, u, after, p)
+        x = np.vstack([x0, xs])
+        places = self._stepping.places(u, after).transpose(0, 1, 3, 2)
+        motion = Known(x[:-1], xs, u[:, : self.nu], after, places, np.asarray(p, dtype=float))
+        start = np.zeros((len(self._felt), len(self._columns())))
+        start[:, len(self.free) :] = np.eye(len(self._felt))
+        dy, late, end = self._wide.along(motion, start)
+        return Trajectory(
+            y=y[:, : self.ny],
+            x=x,
+            dy=self._placed(dy),
+            dx_end=self._ended(end.T),
+            before=y[:, self.ny :],
+            dbefore=self._placed(late),
+        )
+
     def _widened(self, flat: Array, ny: int) -> Array:
-        """Sensitivities as (N, ny, nv), zeros for initial states that no output depends on."""
+        """Sensitivities as (N, ny, nv), of each sample in one row."""
         dy = flat.reshape(len(flat), -1, ny) if ny else np.zeros((len(flat), self.nv, 0))
-        if ny and len(self._felt) < self.nx:
-            out = np.zeros((len(dy), self.nv, ny))
-            out[:, self._columns()] = dy
-            dy = out
-        return dy.transpose(0, 2, 1)
+        return self._placed(dy.transpose(0, 2, 1))
+
+    def _placed(self, dy: Array) -> Array:
+        """(N, ny, nv), zeros for initial states that no output depends on."""
+        if not dy.shape[1] or len(self._felt) == self.nx:
+            return dy
+        out = np.zeros((*dy.shape[:2], self.nv))
+        out[:, :, self._columns()] = dy
+        return out
 
     def _ended(self, s: Array) -> Array:
         """The last state's sensitivities as (nx, nv), with zeros where there are none."""

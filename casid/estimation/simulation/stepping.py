@@ -42,6 +42,15 @@ class StepSymbols:
     within: Any
 
 
+def with_constants(of: Any, p: Any) -> tuple[Any, Any, Any]:
+    """An expression in symbols for what depends on `p` alone, those, and their values from `p`."""
+    of, found, constants = ca.extract_parametric(of, p)
+    left = ca.which_depends(of, p, 1, False)
+    bare = [s for s, is_met in zip(ca.vertsplit(p), left, strict=True) if is_met]
+    values = ca.Function("constants", [p], [ca.densify(ca.vertcat(*constants, *bare))])
+    return of, ca.vertcat(*found, *bare), values
+
+
 class Step:
     """A step as a function of state, inputs, inputs a sample later, parameters, place in a sample.
 
@@ -57,12 +66,8 @@ class Step:
         self.n_state, self.n_out, self.n_late = after.numel(), out.numel(), late.numel()
         self.kept = symbols.kept
         p, ends = symbols.p, np.cumsum([0, self.n_state, self.n_out, self.n_late]).tolist()
-        both, found, constants = ca.extract_parametric(ca.veccat(after, out, late), p)
-        left = ca.which_depends(both, p, 1, False)
-        bare = [s for s, is_met in zip(ca.vertsplit(p), left, strict=True) if is_met]
-        self._constants = ca.Function("constants", [p], [ca.densify(ca.vertcat(*constants, *bare))])
+        both, own, self._constants = with_constants(ca.veccat(after, out, late), p)
         results = [ca.densify(each) for each in ca.vertsplit(both, ends)]
-        own = ca.vertcat(*found, *bare)
         arguments = [state, symbols.u, symbols.u_next, own, symbols.within]
         self._function = ca.Function(name, arguments, results)
         self._block: tuple[int, Any, Any] | None = None
@@ -131,7 +136,7 @@ class Stepping:
     ) -> None:
         self.columns, self.banded, self.substeps = columns, tuple(banded), substeps
         self._shares = np.arange(2 * substeps + 1) / (2 * substeps)
-        self._easy = 0.0 if banded else easy
+        self.easy = 0.0 if banded else easy
 
     def with_courses(self, u: Array) -> Array:
         """Inputs (N, columns) of a whole record, beside them the courses of band-limited ones.
@@ -166,12 +171,12 @@ class Stepping:
         if (steps := step.machine_code.before(len(u) * self.substeps)) is not None:
             state = state.copy()
             constants = step.constants(p)
-            steps(state, u, after, constants, self._shares, states, outputs, self._easy)
+            steps(state, u, after, constants, self._shares, states, outputs, self.easy)
             return states, outputs, state
-        fine = 1 if self._easy else self.substeps
+        fine = 1 if self.easy else self.substeps
         wanted = min(max(BLOCK // fine, 1), max(len(u), 1)) * fine
         size, buffer, trigger = (
-            step.easy_block(wanted, self.substeps, self._easy) if self._easy else step.block(wanted)
+            step.easy_block(wanted, self.substeps, self.easy) if self.easy else step.block(wanted)
         )
         samples = size // fine
         inside = np.empty((size, n_state))
@@ -185,8 +190,9 @@ class Stepping:
             around = [_lengthened(each[first:last], samples) for each in (u, after)]
             columns = [np.repeat(each[:, : self.columns], fine, axis=0) for each in around]
             arguments = [state, *columns, repeated]
-            if not self._easy:
-                arguments.append(self._courses_at(*around))
+            if not self.easy:
+                places = self.places(*around)
+                arguments.append(places.reshape(len(places) * fine, -1))
             for i, argument in enumerate(arguments):
                 if argument.size:
                     buffer.set_arg(i, argument.data)
@@ -200,8 +206,8 @@ class Stepping:
             state = inside[n - 1].copy()
         return states, outputs, state
 
-    def _courses_at(self, u: Array, after: Array) -> Array:
-        """What every step takes as its place within a sample, (N substeps, ...)."""
+    def places(self, u: Array, after: Array) -> Array:
+        """What every step takes as its place within a sample, (N, substeps, 1 + banded, 3)."""
         out = np.empty((len(u), self.substeps, 1 + len(self.banded), 3))
         out[:, :, 0] = _triples(self._shares)
         for b, column in enumerate(self.banded):
@@ -211,7 +217,7 @@ class Stepping:
             course = np.column_stack([begin, inner, begin + (end - begin)])
             for j in range(3):
                 out[:, :, 1 + b, j] = course[:, j : j + 2 * self.substeps : 2]
-        return out.reshape(len(u) * self.substeps, -1)
+        return out
 
 
 def _triples(shares: Array) -> Array:

@@ -95,6 +95,13 @@ def test_a_band_limited_input_is_what_it_was_before_it_was_sampled():
     assert error["foh"] > 0.1
 
 
+@pytest.fixture(params=["one step", "known motion"])
+def of_any_width(request, monkeypatch):
+    """Sensitivities as one step with the states, and along a motion that is known."""
+    monkeypatch.setattr(simulator, "WIDE", 0 if request.param == "known motion" else np.inf)
+
+
+@pytest.mark.usefixtures("of_any_width")
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_a_part_of_a_record_is_driven_as_in_the_whole(substeps):
     """The course of a band-limited input is that of the record, not of the part."""
@@ -113,6 +120,7 @@ def _feed(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     return cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), TS, method="foh")[3]
 
 
+@pytest.mark.usefixtures("of_any_width")
 def test_sensitivities_are_the_derivatives_of_the_simulation_as_computed():
     rng = np.random.default_rng(3)
     u, p, x0 = rng.normal(size=(50, 1)), np.array([M, D, K]), np.array([0.3, -0.2])
