@@ -95,10 +95,12 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
             )
         rows.remove(best)
         order.append(best)
+        met = [c for c in range(j + 1, n) if not a[best][c].is_zero()]
         for i in rows:
             if not a[i][j].is_zero():
-                factor = a[i][j] / a[best][j]
-                a[i] = [ca.SX(0) if c == j else a[i][c] - factor * a[best][c] for c in range(n)]
+                factor, a[i][j] = a[i][j] / a[best][j], ca.SX(0)
+                for c in met:
+                    a[i][c] = a[i][c] - factor * a[best][c]
                 b[i] = b[i] - factor * b[best]
     return _back_substituted([a[i] for i in order], [b[i] for i in order])
 

@@ -34,7 +34,7 @@ from math import log, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from casid.arrays import Array
 from casid.data.files import plain_fields
@@ -61,7 +61,7 @@ def separation_constant(*, margin: float = PLANNING.margin, power: float = PLANN
             f"margin={margin:g}, power={power:g}: give a margin of 0 or more BIC units and a "
             "power of at least 0.5 and below 1"
         )
-    z = float(norm.isf(1 - power))
+    z = -float(ndtri(1 - power))
     return (z + sqrt(z * z + margin)) ** 2
 
 
