@@ -11,7 +11,8 @@ A disturbance is an explanation only where the residual under it is one: station
 on no state or input.
 
 A disturbance is another one in what was held out: it explains nothing that causes foresee there
-(`is_predicted`).
+(`is_predicted`). Where causes do, and what they leave is no disturbance either, nothing is sought
+beside one.
 
 Of several causes each is compared with a disturbance in its place beside the others: the first may
 be a law, and the next what the disturbance leaves of it. Where a disturbance is left, the extended
@@ -94,12 +95,15 @@ def weighed_against_disturbances(
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(again.weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
-        may_be_random = not (_predicts(fit, baseline) or is_more_than_noise(bare, again))
+        is_foreseen = _predicts(fit, baseline)
+        may_be_random = not (is_foreseen or is_more_than_noise(bare, again))
         charged = _charged(found, bare, search, beside) if may_be_random else found
         is_random = may_be_random and nothing <= score
         is_random |= all(a.p_value >= search.alpha for a in charged.adopted)
         if is_clean and not is_random:
             return search, start, charged
+        if is_foreseen and not is_random and is_more_than_noise(own, again):
+            return search, start, charged  # what is left is no disturbance
         found = charged
     other, likelier = _searched_beside(again, bare, baseline, settings)
     _add_refused(search, again.refused)
