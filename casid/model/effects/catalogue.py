@@ -28,7 +28,13 @@ from casid.model.effects.channel_effects import (
 from casid.model.effects.clock_effects import clock_effects_of
 from casid.model.effects.contact_effects import Side, backlash, end_stop
 from casid.model.effects.effect import Effect, Motion, Sizes
-from casid.model.effects.flow_laws import flow_law, is_positive, power_law, states_with_one_law
+from casid.model.effects.flow_laws import (
+    flow_law,
+    is_positive,
+    power_law,
+    saturating_law,
+    states_with_one_law,
+)
 from casid.model.effects.friction_effects import (
     asymmetric_coulomb,
     asymmetric_damping,
@@ -223,7 +229,7 @@ def _far_levels_of_rest(motion: Motion) -> list[float]:
 
 
 def _power_laws(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """The law of each positive state's flow, and one of those that the model takes as alike."""
+    """The laws of each positive state's flow, and one of those that the model takes as alike."""
     positive = [state for state, ends in sizes.ranges.items() if is_positive(ends)]
     groups: list[tuple[str, ...]] = [(state,) for state in positive]
     groups += [g for g in states_with_one_law(model) if set(g) <= set(positive)]
@@ -232,6 +238,10 @@ def _power_laws(model: Model, sizes: Sizes) -> Iterator[Effect]:
         if law is not None:
             yield law
 
+    for state in positive:
+        law = saturating_law(model, state, sizes.rates[state])
+        if law is not None:
+            yield law
 
 def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     """Stops of a mechanical position, or the overflow of a store that stays filled."""

@@ -1,7 +1,8 @@
-"""Laws of flow: a flow in proportion to a level, pressure or temperature becomes one of its powers.
+"""Laws of flow: a flow in proportion to a level, pressure or temperature follows another law of it.
 
 What leaves a tank grows with the root of its level, what a room loses to the sky with the fourth
-power of its temperature. The exponent is estimated; its null value is 1.
+power of its temperature. The exponent is estimated; its null value is 1. An enzyme's or a cell's
+uptake levels off with the concentration, S/(1 + S/K); 1/K is estimated, its null value is 0.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from casid.model.effects.place import Place, is_zero
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model
+from casid.model.rate_laws import addends
+from casid.model.units import same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
 
@@ -79,7 +82,7 @@ def power_law(
 
     def apply(new: Model, names: Sequence[str]) -> None:
         for x, rows, level in zip(states, places, levels, strict=True):
-            _exchange(new, x, rows, level, new.symbol(names[0]))
+            _exchange(new, x, rows, _power(new.symbol(x), level, new.symbol(names[0])))
         new._explicit = None
 
     lower, upper = UNNAMED_EFFECTS.lowest_power, UNNAMED_EFFECTS.highest_power
@@ -97,6 +100,52 @@ def power_law(
         shape=shape,
         description=f"a flow that grows with {flow}, not in proportion to {them}",
         constants={"reference": levels[0]},
+    )
+
+
+def saturating_law(model: Model, state: str, typical: float) -> Effect | None:
+    """x becomes x (1 + r x_ref) / (1 + r x), wherever a positive amount x reacts or flows.
+
+    The uptake V x / (K + x) of an enzyme (Michaelis and Menten) or of cells (Monod), where the
+    model has one in proportion to x: r is 1/K, its null value 0. As in `power_law` the flow is what
+    it was at x_ref, `typical` (x's unit). It is exchanged in every balance and derivative that is
+    linear in x, also with a slope that depends on other states (cells and sugar), and not in what a
+    recorded flow carries along. Near x = 0 the size of x is rounded at a thousandth of x_ref.
+
+    None where x is a temperature, has a position or is one, or is in no such equation.
+    """
+    unit = model.states[state].unit
+    rows = [] if same_dimension(unit, "K") else _flows_linear_in(model, state, is_alone=False)
+    if not rows or typical <= 0.0:
+        return None
+    own = [name for name, b in model.balances.items() if b.rate == state]
+    level, small = carrying_unit(typical), carrying_unit((SMOOTHING.power * typical) ** 2)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        x, r = new.symbol(state), new.symbol(names[0])
+        _exchange(new, state, rows, x * (1 + r * level) / (1 + r * ca.sqrt(x**2 + small)))
+        new._explicit = None
+
+    r = Parameter(
+        f"inverse_K_{state}",
+        unit_quotient("1", unit),
+        0.0,
+        lower=0.0,
+        upper=UNNAMED_EFFECTS.most_saturated / typical,
+    )
+    shown = _inverse(model.declared_units.get(state, ""))
+    return Effect(
+        "unknown",
+        own[0] if own else state,
+        (r,),
+        apply,
+        sided="positive",
+        priority=-1,  # as a power law
+        shape=f"{state}/(K+{state})",
+        description=f"a flow that levels off with {state}, as {state}/(K + {state}) does, not in "
+        f"proportion to it ({r.name} is 1/K)",
+        constants={"reference": typical},
+        declared_units={r.name: shown} if shown else {},
     )
 
 
@@ -132,32 +181,65 @@ def _own_slopes(model: Model) -> dict[str, Expr]:
     return found
 
 
-def _flows_linear_in(model: Model, state: str) -> list[str]:
+def _flows_linear_in(model: Model, state: str, *, is_alone: bool = True) -> list[str]:
     """`_linear_in` of what is no speed or position of a mechanical motion, else nothing."""
     is_rate = model.position_of(state) is not None
     is_position = any(model.position_of(rate) == state for rate in model.states)
-    return [] if is_rate or is_position else _linear_in(model, state)
+    return [] if is_rate or is_position else _linear_in(model, state, is_alone=is_alone)
 
 
-def _exchange(new: Model, state: str, rows: Sequence[str], typical: float, n: Expr) -> None:
-    """Put the power of a state in its place in these rows (see `power_law`)."""
-    x = new.symbol(state)
+def _inverse(unit: str) -> str:
+    """One over a unit of at most two factors, as L/mmol for mmol/L; "" for any other."""
+    above, _, below = unit.partition("/")
+    return f"{below or 1}/{above}" if above.isalpha() and (below + "a").isalpha() else ""
+
+
+def _power(x: Expr, typical: float, n: Expr) -> Expr:
+    """The power of a state in its place (see `power_law`)."""
     small = carrying_unit((SMOOTHING.power * typical) ** 2)
     whole = carrying_unit(typical**2 + small)
-    law = x * ca.exp(0.5 * (n - 1) * ca.log((x**2 + small) / whole))
+    return x * ca.exp(0.5 * (n - 1) * ca.log((x**2 + small) / whole))
+
+
+def _exchange(new: Model, state: str, rows: Sequence[str], law: Expr) -> None:
+    """Put a law of a state in its place in these rows, but for what a recorded flow carries."""
+    x = new.symbol(state)
+
+    def exchanged(term: Expr) -> Expr:
+        slopes = addends(ca.jacobian(ca.SX(term), x))
+        laws = [a for a in slopes if not _is_carried(new, a)]
+        if len(laws) == len(slopes):
+            return ca.substitute(term, x, law)
+        return term + sum(laws) * (law - x) if laws else term
+
     for name in rows:
         if name in new.balances:
             b = new.balances[name]
-            terms = tuple(ca.substitute(t, x, law) for t in b.terms)
-            new.balances[name] = replace(b, terms=terms)
+            new.balances[name] = replace(b, terms=tuple(exchanged(t) for t in b.terms))
         else:
-            new._rates[name] = ca.substitute(new._rates[name], x, law)
+            new._rates[name] = sum(exchanged(t) for t in addends(new._rates[name]))
 
 
-def _linear_in(model: Model, state: str) -> list[str]:
+def _is_carried(model: Model, slope: Expr) -> bool:
+    """True of the slope of what a recorded flow carries along: an input, with no coefficient.
+
+    What leaves a stirred vessel with the flow F through it is F x, whatever else becomes of x. An
+    estimated coefficient that multiplies the flow makes a law of it; a volume divides it.
+    """
+    symbols = {s.name() for s in ca.symvar(ca.SX(slope))}
+    if not symbols & {*model.inputs}:
+        return False
+    for name in symbols & {n for n, p in model.parameters.items() if not p.is_known}:
+        gain = ca.jacobian(ca.SX(slope), model.symbol(name))
+        if not any(ca.which_depends(gain, model.symbol(name))):
+            return False
+    return True
+
+
+def _linear_in(model: Model, state: str, *, is_alone: bool) -> list[str]:
     """Balances, by name, and states with a derivative whose right-hand side is linear in a state.
 
-    The slope may depend on parameters and inputs alone.
+    The slope may depend on parameters and inputs alone, or, unless it `is_alone`, on other states.
     """
     x = model.symbol(state)
     states = ca.vertcat(*[model.symbol(name) for name in model.states])
@@ -166,7 +248,10 @@ def _linear_in(model: Model, state: str) -> list[str]:
     found = []
     for name, side in sides.items():
         slope = ca.jacobian(ca.SX(side), x)
-        if slope.nnz() and not any(ca.which_depends(slope, states)):
+        moved_by = states if is_alone else x
+        if not slope.nnz() or any(ca.which_depends(slope, moved_by)):
+            continue
+        if not all(_is_carried(model, a) for a in addends(slope)):
             found.append(name)
     return found
 

@@ -269,6 +269,12 @@ class UnnamedEffects:
     )
     lowest_power: float = _is(0.1, "lower bound of the exponent of a power law", _FLOW_LAWS)
     highest_power: float = _is(4.0, "upper bound of the exponent of a power law", _FLOW_LAWS)
+    most_saturated: float = _is(
+        100.0,
+        "typical amounts over the one at which a saturating uptake is half its most, at most: "
+        "beyond it the uptake is a constant",
+        _FLOW_LAWS,
+    )
 
 
 PARAMETER_JUMPS = ParameterJumps()

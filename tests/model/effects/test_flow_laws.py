@@ -9,7 +9,8 @@ import pytest
 import casid
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.flow_laws import power_law, states_with_one_law
+from casid.model.effects.flow_laws import power_law, saturating_law, states_with_one_law
+from casid.model.rate_laws import with_balances
 from problems import pendulum
 
 Array = np.ndarray
@@ -140,3 +141,143 @@ def test_torricellis_law_is_recovered_as_a_power_of_one_half():
         sd = float(np.sqrt(covariance[i, i]))
         assert sd < 0.05
         assert fit.x[i] == pytest.approx(0.5, abs=3 * sd)
+
+
+VOLUME, HALF, MOST = 0.002, 5.0, 0.8 / 60  # m^3, mmol/L, mmol/(L s)
+
+
+def reactor() -> casid.Model:
+    """A stirred reactor with a flow through it, whose substrate reacts in proportion to itself."""
+    m = casid.Model("reactor")
+    S, P = m.state("S", "mmol/L", start=6.0), m.state("P", "mmol/L", start=4.0)
+    fed = m.input("fed", "mmol/L", hold="zoh", known=True)
+    F = m.input("F", "m^3/s", hold="zoh", known=True)
+    V = m.constant("V", VOLUME, "m^3")
+    k = m.parameter("k", "1/s", start=1e-3, lower=0.0)
+    m.balance(S, "substrate", inertia=V, terms=[F * (fed - S), -k * V * S])
+    m.balance(P, "product", inertia=V, terms=[-F * P, k * V * S])
+    m.output("S_m", S, "mmol/L")
+    m.output("P_m", P, "mmol/L")
+    return m
+
+
+def reactor_record(N: int = 600, Ts: float = 30.0) -> casid.Record:
+    """Uptake MOST S / (HALF + S); sensors with noise of 0.05 mmol/L."""
+    rng = np.random.default_rng(4)
+    fed = np.repeat(rng.uniform(4.0, 24.0, N // 60 + 1), 60)[:N]
+    F = np.repeat(rng.uniform(1e-6, 5e-6, N // 40 + 1), 40)[:N]
+    x, seen = np.array([6.0, 4.0]), np.empty((N, 2))
+
+    def rates(x: Array, i: int) -> Array:
+        uptake = MOST * x[0] / (HALF + x[0])
+        return np.array([F[i] * (fed[i] - x[0]), -F[i] * x[1]]) / VOLUME + [-uptake, uptake]
+
+    for i in range(N):
+        seen[i] = x
+        for _ in range(4):  # Heun's method, 7.5 s against the 400 s of the flow through the vessel
+            first = rates(x, i)
+            x = x + Ts / 8 * (first + rates(x + Ts / 4 * first, i))
+    seen += 0.05 * rng.standard_normal(seen.shape)
+    columns = {"fed": fed, "F": F, "S_m": seen[:, 0], "P_m": seen[:, 1]}
+    units = {"fed": "mmol/L", "F": "m^3/s", "S_m": "mmol/L", "P_m": "mmol/L"}
+    return casid.Record(columns, units, Ts)
+
+
+def slopes_at(model: casid.Model, at: list[float], values: dict[str, float]) -> Array:
+    """The right-hand sides of a model's states, with its inputs at 1 in their SI unit."""
+    e = model.explicit()
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    return np.ravel(f(at, np.ones(e.u.numel()), [values[n] for n in e.parameters]))
+
+
+def test_what_a_recorded_flow_carries_along_follows_no_law():
+    """F (fed - S) stays what it is beside k V S^n; the product is carried only, and has no law."""
+    model = reactor()
+    assert power_law(model, "P", 4.0) is None
+    assert saturating_law(model, "P", 4.0) is None
+    effect = power_law(model, "S", 6.0)
+    assert effect is not None
+    extended, (n,) = effect.extended(model)
+    S, P = 9.0, 2.0
+    values = {"V": VOLUME, "k": 1e-3, n: 2.0}
+    uptake = 1e-3 * S**2 / 6.0
+    assert slopes_at(extended, [S, P], values) == pytest.approx(
+        [(1.0 - S) / VOLUME - uptake, -P / VOLUME + uptake], rel=1e-9
+    )
+
+
+def test_a_flow_with_an_estimated_coefficient_is_a_law():
+    """A valve that an input opens, beside what the flow F through the vessel carries."""
+    m = casid.Model("vessel")
+    h, F, opening = m.state("h", "m", start=1.0), m.input("F", "m^2/s"), m.input("opening", "1")
+    k = m.parameter("k", "m^2/s", start=0.1)
+    m.balance(h, "level", inertia=m.constant("A", 2.0, "m^2"), terms=[-(F + k * opening) * h])
+    m.output("h_m", h, "m")
+    effect = power_law(m, "h", 4.0)
+    assert effect is not None
+    extended, (n,) = effect.extended(m)
+    found = slopes_at(extended, [9.0], {"A": 2.0, "k": 0.1, n: 0.5})
+    assert found == pytest.approx([-(9.0 + 0.1 * 4.0 * 1.5) / 2.0], rel=1e-6)
+
+
+def test_a_saturating_law_levels_off_in_every_balance_that_the_reaction_enters():
+    """x (1 + r x_ref) / (1 + r x): what it was at x_ref, and at most (1 + r x_ref) / r."""
+    model = reactor()
+    effect = saturating_law(model, "S", 6.0)
+    assert effect is not None
+    assert effect.key == ("unknown", "substrate: S/(K+S)")
+    extended, (r,) = effect.extended(model)
+    for S in (6.0, 9.0, 1e5):
+        uptake = 1e-3 * S * (1 + 0.2 * 6.0) / (1 + 0.2 * S)
+        found = slopes_at(extended, [S, 2.0], {"V": VOLUME, "k": 1e-3, r: 0.2})
+        assert found + [-(1 - S) / VOLUME, 2.0 / VOLUME] == pytest.approx(
+            [-uptake, uptake], rel=1e-6, abs=1e-9 * S / VOLUME
+        )
+
+
+def test_growth_levels_off_with_what_the_cells_live_on():
+    """k S X, of cells X and their sugar S, becomes Monod's law of S; a power law of it is none."""
+    m = casid.Model("cells")
+    X, S = m.state("X", "kg/m^3", start=1.0), m.state("S", "kg/m^3", start=10.0)
+    k, y = m.parameter("k", "m^3/(kg s)", start=0.1), m.parameter("y", "1", start=2.0)
+    m.derivative(X, k * S * X)
+    m.derivative(S, -y * k * S * X)
+    m.output("X_m", X, "kg/m^3")
+    m = with_balances(m)
+    assert power_law(m, "S", 10.0) is None
+    effect = saturating_law(m, "S", 10.0)
+    assert effect is not None
+    extended, (r,) = effect.extended(m)
+    growth = 0.1 * 3.0 * 4.0 * (1 + 0.5 * 10.0) / (1 + 0.5 * 4.0)
+    assert slopes_at(extended, [3.0, 4.0], {"k": 0.1, "y": 2.0, r: 0.5}) == pytest.approx(
+        [growth, -2.0 * growth], rel=1e-5
+    )
+
+
+def test_no_temperature_has_a_law_that_levels_off():
+    m = casid.Model("body")
+    T, G = m.state("T", "K", start=300.0), m.parameter("G", "W/K", start=1.0)
+    m.balance(T, "heat", inertia=m.constant("C", 10.0, "J/K"), terms=[-G * T])
+    m.output("T_m", T, "K")
+    assert saturating_law(m, "T", 300.0) is None
+    assert power_law(m, "T", 300.0) is not None
+
+
+def test_michaelis_mentens_constant_is_recovered_and_no_power_does_as_well():
+    """1/K within three standard errors of white output noise, from a model without saturation."""
+    experiments = [casid.Experiment(reactor_record(), {}, "r")]
+    left = {}
+    for law in (saturating_law, power_law):
+        effect = law(reactor(), "S", 6.0)
+        assert effect is not None
+        extended, (name,) = effect.extended(reactor())
+        fit = fit_model(extended, experiments, FitSettings(starts=1, substeps=2))
+        c = fit.criterion
+        r, j = c.columns(fit.x, 0)
+        left[law] = float(np.var(r))
+        sd = np.linalg.inv(np.einsum("kin,kim->nm", j, j)) * np.var(r)
+        if law is saturating_law:
+            i = c.names.index(name)
+            assert sd[i, i] ** 0.5 < 0.01 / HALF
+            assert fit.x[i] == pytest.approx(1 / HALF, abs=3 * sd[i, i] ** 0.5)
+    assert left[power_law] > 1.5 * left[saturating_law]
