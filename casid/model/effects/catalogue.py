@@ -65,6 +65,7 @@ from casid.model.effects.structure_effects import missing_modes_of, structure_ef
 from casid.model.effects.unnamed_effects import (
     linear_loss,
     linear_restoring_force,
+    saturating_force,
     unnamed_effects,
     uptakes_of,
     vanishes_with,
@@ -201,12 +202,12 @@ def _memories_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None
 
 
 def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
-    """The law of a flow between two stores, or a loss or a spring that the model leaves out."""
+    """The law of what passes between two places, or a loss or a spring that the model omits."""
     if place.velocity is None:
         return []
     motion = sizes.motion_of(place.velocity)
     if place.is_relative:
-        found = [flow_law(model, place, motion.rms)]
+        found = [flow_law(model, place, motion.rms), saturating_force(model, place, motion.rms)]
     else:
         far = _far_levels_of_rest(motion)
         found = [
@@ -237,11 +238,11 @@ def _power_laws(model: Model, sizes: Sizes) -> Iterator[Effect]:
         law = power_law(model, group, [sizes.rates[state] for state in group])
         if law is not None:
             yield law
-
     for state in positive:
         law = saturating_law(model, state, sizes.rates[state])
         if law is not None:
             yield law
+
 
 def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     """Stops of a mechanical position, or the overflow of a store that stays filled."""

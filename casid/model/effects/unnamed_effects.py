@@ -124,6 +124,45 @@ def linear_loss(
     )
 
 
+def saturating_force(model: Model, where: str | Place, typical: float) -> Effect | None:
+    """-C v between two bodies becomes -C v sqrt((1 + r v_ref^2) / (1 + r v^2)), v their slip.
+
+    The force of a belt, a tyre or a clutch grows with the slip and levels off. r is one over the
+    square of the slip at which it bends, its null value 0; at v_ref, `typical` (v's SI unit), the
+    force is what it was. None where the model has no damping between two bodies.
+    """
+    place = place_named(model, where)
+    if not (place.is_mechanical and place.is_relative) or place.damping is None or typical <= 0.0:
+        return None
+    v, C, v_ = place.velocity, place.damping, bracketed(place.velocity_name)
+    square = carrying_unit(typical**2)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        r = new.symbol(names[0])
+        place.add(new, C * v * (1 - ca.sqrt((1 + r * square) / (1 + r * v**2))))
+
+    name = "".join(c for c in place.velocity_name if c.isalnum() or c == "_")
+    r = Parameter(
+        f"r_{name}",
+        unit_quotient("1", place.velocity_unit, 2),
+        0.0,
+        lower=0.0,
+        upper=UNNAMED_EFFECTS.most_saturated / typical**2,
+    )
+    return Effect(
+        "unknown",
+        place.where,
+        (r,),
+        apply,
+        sided="positive",
+        priority=UNNAMED_EFFECTS.priority,
+        shape=f"{v_}/sqrt(1+r{v_}^2)",
+        description=f"{_a_quantity(place.unit)} that levels off with {v_}, as "
+        f"{v_}/sqrt(1 + {r.name} {v_}^2) does, not in proportion to it",
+        constants={"reference": typical},
+    )
+
+
 def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
     """-k q, in a mechanical place with a position that nothing of the model pulls back.
 

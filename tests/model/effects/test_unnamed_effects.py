@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import KINDS, Effect, Sizes
 from casid.model.effects.flow_laws import power_law
-from casid.model.effects.unnamed_effects import linear_loss, unnamed_effects
+from casid.model.effects.unnamed_effects import linear_loss, saturating_force, unnamed_effects
 from problems import pendulum
 from tests.model.effects.test_flow_laws import LEVEL, tanks
 
@@ -34,8 +35,6 @@ def test_at_its_null_value_a_decoy_is_nothing_and_its_units_agree(
     extended = model.extend(effect)
     check_units(extended)
     e, base = extended.explicit(), model.explicit()
-    import casadi as ca
-
     rng = np.random.default_rng(2)
     x, u, p = (rng.uniform(0.2, 1.5, v.numel()) for v in (base.x, base.u, base.p))
     f = ca.Function("f", [e.x, e.u, e.p], [e.f])(x, u, [*p, effect.parameters[0].start])
@@ -105,3 +104,40 @@ def test_one_of_the_losses_acts_much_as_any_other_wherever_it_vanishes(room: flo
     wanted = (course - room) / np.linalg.norm(course - room)
     acts = [(course - level) / np.linalg.norm(course - level) for level in levels]
     assert max(abs(float(wanted @ each)) for each in acts) > np.cos(np.radians(22.0))
+
+
+def belt() -> casid.Model:
+    """Two pulleys and a belt that drives the second in proportion to its slip."""
+    m = casid.Model("belt")
+    w1, w2 = m.state("w1", "rad/s"), m.state("w2", "rad/s")
+    T = m.input("T", "N m", hold="zoh", known=True)
+    b, d = (m.parameter(n, "N m s/rad", start=0.5, lower=0.0) for n in ("b", "d"))
+    m.balance(w1, "motor", inertia=m.constant("J1", 0.02, "kg m^2"), terms=[T, -b * (w1 - w2)])
+    m.balance(w2, "load", inertia=m.constant("J2", 0.1, "kg m^2"), terms=[b * (w1 - w2), -d * w2])
+    m.output("n1", w1, "rad/s")
+    m.output("n2", w2, "rad/s")
+    return m
+
+
+def test_the_torque_of_a_slipping_belt_levels_off_in_both_balances():
+    model = belt()
+    effect = saturating_force(model, "w1-w2", 4.0)
+    assert effect is not None
+    assert effect.key == ("unknown", "w1-w2: (w1-w2)/sqrt(1+r(w1-w2)^2)")
+    check_units(model.extend(effect))
+    extended, (r,) = effect.extended(model)
+    e = extended.explicit()
+    values = {"J1": 0.02, "J2": 0.1, "b": 0.5, "d": 0.0, r: 0.03}
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    for slip in (4.0, -9.0, 1e4):
+        torque = 0.5 * slip * np.sqrt((1 + 0.03 * 16.0) / (1 + 0.03 * slip**2))
+        found = np.ravel(f([slip, 0.0], [0.0], [values[n] for n in e.parameters]))
+        assert found == pytest.approx([-torque / 0.02, torque / 0.1], rel=1e-9)
+
+
+def test_only_damping_between_two_bodies_has_a_torque_that_levels_off():
+    assert saturating_force(belt(), "load", 4.0) is None
+    assert saturating_force(tanks(), "upper", 4.0) is None
+    sizes = Sizes({"w1": 9.0, "w2": 5.0}, {"n1": 9.0, "n2": 9.0}, (0.0, 9.0), 1.0)
+    keys = {e.key for e in catalogue(belt(), sizes, {})}
+    assert ("unknown", "w1-w2: (w1-w2)/sqrt(1+r(w1-w2)^2)") in keys
