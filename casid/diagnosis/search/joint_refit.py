@@ -132,7 +132,7 @@ class Refitting:
         """The refit from one start; `values` of everything else, `below` as in `refit`."""
         model, names = effect.extended(at.model, starts=starts, upper=upper)
         moved = moved_parameter(effect)
-        if moved is not None:
+        if moved is not None and np.isinf(effect.parameters[0].lower):  # else it keeps the sign
             p = at.model.parameters.get(moved)
             begun = values.get(moved, p.nominal if p is not None else 0.0)
             _keep_sign(model, names[0], begun, effect)

@@ -118,7 +118,7 @@ class Search:
         ]
         effects = [e for e in effects if not _smooths_a_switch(at, e)]
         # A slope of a cause's own size would be a second effect in the place of a first one.
-        effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]
+        effects = [e for e in effects if moved_parameter(e) not in own]
         judged = at.unbiased or at.fit
         peaks = peaks_of(judged)
         if "missing_mode" not in self.without:

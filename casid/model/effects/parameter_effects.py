@@ -12,8 +12,8 @@ from casid.model.clock_signals import RampOver, StepAt
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Motion, Sizes, Spread
-from casid.model.effects.place import is_mechanical, is_zero
-from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS
+from casid.model.effects.place import is_amount, is_mechanical, is_zero
+from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS, UNNAMED_EFFECTS
 from casid.model.model import Model
 from casid.model.units import unit_quotient
 
@@ -125,13 +125,45 @@ def state_scheduled_parameter(
     )
 
 
+def inhibited_parameter(model: Model, name: str, state: str, size: Motion) -> Effect:
+    """The coefficient p of a reaction that falls with an amount x beside it: p / (1 + r x).
+
+    An enzyme that its product inhibits; r, one over the amount that halves p, is negative where x
+    helps. As p (1 + r m) / (1 + r x), m the mean of x (`size`), p stays what it is there.
+    """
+    unit = model.states[state].unit
+    own = Parameter(
+        f"inverse_K_{state}",
+        unit_quotient("1", unit),
+        0.0,
+        lower=-2.0 / (SATURATIONS.poles * size.largest),
+        upper=UNNAMED_EFFECTS.most_saturated / size.largest,
+    )
+    m = carrying_unit(size.mean)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        x, r = new.symbol(state), new.symbol(names[0])
+        new.substitute_symbol(name, new.symbol(name) * (1 + r * m) / (1 + r * ca.fabs(x)))
+
+    return Effect(
+        "scheduled_parameter",
+        f"{name}~{state}",
+        (own,),
+        apply,
+        priority=int(model.parameters[name].is_known),
+        description=f"{name} changes with {state} as 1/(1 + {state}/K) does ({own.name} is 1/K)",
+        constants={"mean": size.mean},
+    )
+
+
 def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Parameters that no force in one place expresses, with the states of their own equations.
 
     Such a parameter stands in several equations out of proportion (a motor's constant in torque and
     voltage), in an inertia of no mass (an inductance), beside an input (the gain of an actuator
-    that falls with the speed), or in what a sensor shows alone (a battery's resistance). Elsewhere
-    it is a force that grows with its state, and tested as one.
+    that falls with the speed), or in what a sensor shows alone (a battery's resistance); or it is
+    that of a reaction, which its product inhibits. Elsewhere it is a force that grows with its
+    state, and tested as one.
     """
     for name, p in model.parameters.items():
         if p.is_constant or (p.is_known and p.value == 0.0):
@@ -153,6 +185,19 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
                 size = sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
                 if size.mean > 0.0:
                     yield state_scheduled_parameter(model, name, state, size, power)
+        for state in _beside_reactions(model, symbol, inside):
+            size = sizes.motion_of(model.symbol(state))
+            if size.is_signed and size.low > 0.0:
+                yield inhibited_parameter(model, name, state, size)
+
+
+def _beside_reactions(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
+    """Amounts that a reaction makes or uses up, and whose coefficient they do not stand beside."""
+    shapes = [ca.jacobian(ca.SX(side), symbol) for side in inside.values()]
+    felt = {s.name() for shape in shapes for s in ca.symvar(shape)}
+    if len(inside) < 2 or not felt & {*inside}:
+        return []
+    return [s for s in inside if s not in felt and is_amount(model.states[s].unit)]
 
 
 def _of_several(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:

@@ -90,6 +90,11 @@ def is_mechanical(unit: str) -> bool:
     return any(same_dimension(unit, known) for known in ("N", "N m", "m/s^2", "rad/s^2"))
 
 
+def is_amount(unit: str) -> bool:
+    """True for the unit of an amount of matter or a mass, or of its concentration."""
+    return any(same_dimension(unit, known) for known in ("mol", "kg", "mol/m^3", "kg/m^3"))
+
+
 def balance_place(model: Model, balance: str) -> Place:
     """One balance: its rate, and the position that the rate moves."""
     b = model.balances[balance]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -161,16 +163,23 @@ def reactor() -> casid.Model:
     return m
 
 
-def reactor_record(N: int = 600, Ts: float = 30.0) -> casid.Record:
-    """Uptake MOST S / (HALF + S); sensors with noise of 0.05 mmol/L."""
+def saturated(S: float, P: float) -> float:
+    """An enzyme's uptake [mmol/(L s)] by Michaelis and Menten."""
+    return MOST * S / (HALF + S)
+
+
+def reactor_record(
+    uptake: Callable[[float, float], float] = saturated, N: int = 600, Ts: float = 30.0
+) -> casid.Record:
+    """The reactor with an uptake of substrate and product; sensors with noise of 0.05 mmol/L."""
     rng = np.random.default_rng(4)
     fed = np.repeat(rng.uniform(4.0, 24.0, N // 60 + 1), 60)[:N]
     F = np.repeat(rng.uniform(1e-6, 5e-6, N // 40 + 1), 40)[:N]
     x, seen = np.array([6.0, 4.0]), np.empty((N, 2))
 
     def rates(x: Array, i: int) -> Array:
-        uptake = MOST * x[0] / (HALF + x[0])
-        return np.array([F[i] * (fed[i] - x[0]), -F[i] * x[1]]) / VOLUME + [-uptake, uptake]
+        taken = uptake(x[0], x[1])
+        return np.array([F[i] * (fed[i] - x[0]), -F[i] * x[1]]) / VOLUME + [-taken, taken]
 
     for i in range(N):
         seen[i] = x

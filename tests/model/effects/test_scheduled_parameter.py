@@ -16,6 +16,7 @@ import pytest
 import casid
 from casid.model.effects.effect import Motion, Sizes, Spread
 from casid.model.effects.parameter_effects import (
+    inhibited_parameter,
     input_schedules_of,
     is_constant_term,
     scheduled_parameter,
@@ -374,3 +375,39 @@ def test_parameters_with_brackets_in_their_own_names_are_no_inner_nodes():
     leak = found.parameter("leak [1/s]")
     assert leak.value == pytest.approx(0.1, abs=4 * leak.std_error)
     assert [p.name for p in found.initial_states] == ["h(0)"]  # of three parts, the first alone
+
+
+def test_a_reaction_is_inhibited_by_what_it_makes_and_not_by_what_it_is_stated_with():
+    """k A in the balances of A and B becomes k A (1 + r m) / (1 + r B), the same where B is m."""
+    m = casid.Model("reaction")
+    A, B = m.state("A", "mmol/L", start=5.0), m.state("B", "mmol/L", start=2.0)
+    k = m.parameter("k", "1/s", start=0.1, lower=0.0)
+    m.balance(A, "a", inertia=1, terms=[-k * A])
+    m.balance(B, "b", inertia=1, terms=[k * A])
+    m.output("y", B, "mmol/L")
+    sizes = Sizes(
+        {"A": 5.0, "B": 2.0}, {"y": 4.0}, (0.0, 9.0), 1.0, ranges={"A": (1.0, 5.0), "B": (1.0, 3.0)}
+    )
+    (effect,) = state_schedules_of(m, sizes)
+    assert effect.key == ("scheduled_parameter", "k~B")
+    extended, (r,) = effect.extended(m)
+    e = extended.explicit()
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    values = {"k": 0.1, r: 0.5}
+    for amount in (2.0, 6.0):
+        found = np.ravel(f([4.0, amount], [], [values[n] for n in e.parameters]))
+        rate = 0.1 * 4.0 * (1 + 0.5 * 2.0) / (1 + 0.5 * amount)
+        assert found == pytest.approx([-rate, rate], rel=1e-12)
+
+
+def test_an_amount_that_helps_a_reaction_keeps_its_rate_finite():
+    """r is above -1/(2 x) for the largest x that was met."""
+    m = casid.Model("reaction")
+    A, B = m.state("A", "kg/m^3", start=5.0), m.state("B", "kg/m^3", start=2.0)
+    k = m.parameter("k", "1/s", start=0.1, lower=0.0)
+    m.balance(A, "a", inertia=1, terms=[-k * A])
+    m.balance(B, "b", inertia=1, terms=[k * A])
+    m.output("y", B, "kg/m^3")
+    effect = inhibited_parameter(m, "k", "B", Motion(2.0, 1.0, 4.0, 2.0))
+    assert effect.parameters[0].lower == pytest.approx(-0.5 / 4.0)
+    assert effect.parameters[0].unit == "m^3/kg"
