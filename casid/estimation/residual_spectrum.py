@@ -17,13 +17,16 @@ decay, that is most of its peak.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
+from scipy.linalg import toeplitz
 from scipy.optimize import minimize
 from scipy.signal import lfilter
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
 from casid.estimation.simulation.minimization import Fit
@@ -35,6 +38,11 @@ RESTRICTED = 12
 unknowns take away."""
 CONVERGED = 1e-2
 """Slope of (2) at which its search ends."""
+MOVED = 0.1
+"""Standard errors over which (1) is differentiated by its spectrum."""
+LEAST_FREEDOM, MANY = 3.0, 1e6
+"""Degrees of freedom of a variance by (1): below the first t would be all tail, above the second
+it is normal."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,7 +234,7 @@ def _autoregressions(
 def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
     """(1) of a fit and the orders of its autoregressions; None where every residual is white.
 
-    Missing samples are passed over as in `residual_autoregressions`.
+    Wider by `_student_factors`: intervals of 1.96 standard errors hold what they say. Missing samples are passed over as in `residual_autoregressions`.
 
     Parameters
     ----------
@@ -240,29 +248,88 @@ def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] 
     matrix = sum(t[:, index].T @ t[:, index] for record in weighted for _, t in record)
     d = 1 / np.sqrt(np.maximum(np.diag(matrix), TINY))
     inverse = np.outer(d, d) * np.linalg.pinv(matrix * np.outer(d, d), rcond=1e-13)
-    out = np.zeros((n, n))
     # Gamma stands between the columns of T (T'T)^-1: formed from T' Gamma T, what a slow residual
     # adds to one unknown would drown the variances of the others in rounding.
-    for record in weighted:
-        gains = [(r, t[:, index] @ inverse) for r, t in record]
-        out[np.ix_(index, index)] += _coloured_products(gains, models, together)
+    gains = [_transformed([t[:, index] @ inverse for _, t in record]) for record in weighted]
+
+    def under(models: Sequence[Autoregression]) -> Array:
+        return np.asarray(sum(_coloured_products(*record, models, together) for record in gains))
+
+    samples = [sum(len(record[i][0]) for record in weighted) for i in range(len(models))]
+    wider = _student_factors(under, models, samples)
+    out = np.zeros((n, n))
+    out[np.ix_(index, index)] = under(models) * np.outer(wider, wider)
     return out, tuple(m.order for m in models)
 
 
-def _coloured_products(
-    record: Weighted, models: Sequence[Autoregression], together: Array
+def _student_factors(
+    under: Callable[[Sequence[Autoregression]], Array],
+    models: Sequence[Autoregression],
+    samples: Sequence[int],
 ) -> Array:
-    """(n, n) T' Gamma T of columns T of one record."""
-    n = record[0][1].shape[1]
-    size = next_fast_len(2 * max(len(t) for _, t in record), real=True)
+    """(n,) by which standard errors grow because the spectrum in (1) is an estimate.
+
+    What a slow residual does to a constant is known from the few times that it wandered. A variance
+    v in (1) that has itself the variance s^2 is as one of 2 v^2 / s^2 degrees of freedom
+    (Satterthwaite, Biometrics Bull. 2 (1946) 110-114; Kenward and Roger, Biometrics 53 (1997)
+    983-997), with s by the error of the autoregressions' coefficients and innovations. The 95 %
+    interval is then that of Student's t; never below `LEAST_FREEDOM`.
+    """
+    base = np.maximum(np.diag(under(models)), TINY)
+    relative = np.zeros(len(base))
+    for i, m in enumerate(models):
+        for moved in _moved(m, samples[i]):
+            there = [moved if k == i else other for k, other in enumerate(models)]
+            relative += (np.log(np.maximum(np.diag(under(there)), TINY) / base) / MOVED) ** 2
+    relative = np.nan_to_num(relative, nan=np.inf)
+    freedom = np.clip(2.0 / np.maximum(relative, TINY), LEAST_FREEDOM, MANY)
+    return np.asarray(student.ppf(0.975, freedom) / norm.ppf(0.975))
+
+
+def _moved(m: Autoregression, samples: int) -> Iterator[Autoregression]:
+    """An autoregression moved by `MOVED` standard errors in independent directions.
+
+    The covariance of its coefficients from so many samples is that of the inverse of its p
+    autocovariances, in closed form (Gohberg and Semencul 1972; Kay, Modern Spectral Estimation,
+    1988, section 6.5).
+    """
+    yield replace(m, variance=m.variance * float(np.exp(MOVED * np.sqrt(2.0 / samples))))
+    a = m.coefficients
+    if not m.order:
+        return
+    first, last = toeplitz(np.append(1.0, a[:-1])), toeplitz(a[::-1])
+    upper, lower = np.tril(first), np.tril(last)
+    values, axes = np.linalg.eigh((upper @ upper.T - lower @ lower.T) / samples)
+    for step in (axes * np.sqrt(np.maximum(values, 0.0))).T:
+        yield replace(m, reflections=_reflections(a + MOVED * step))
+
+
+def _reflections(a: Array) -> Array:
+    """The reflection coefficients of coefficients (p,), by Levinson's recursion turned round."""
+    found = []
+    while len(a):
+        k = a[-1]
+        found.append(k)
+        a = (a[:-1] - k * a[:-1][::-1]) / (1 - k**2)
+    return np.array(found[::-1])
+
+
+def _transformed(columns: Sequence[Array]) -> tuple[int, list[Array]]:
+    """The size of a transform and those of columns (N, n), one an output."""
+    size = next_fast_len(2 * max(len(t) for t in columns), real=True)
+    return size, [rfft(t, size, axis=0) for t in columns]
+
+
+def _coloured_products(
+    size: int, lines: Sequence[Array], models: Sequence[Autoregression], together: Array
+) -> Array:
+    """(n, n) T' Gamma T of the columns T of one record, by their transforms."""
+    n = lines[0].shape[1]
     both = np.full(size // 2 + 1, 2.0)
     both[0] = 1.0
     if size % 2 == 0:
         both[-1] = 1.0
-    roots = [
-        m.root_spectrum(size)[:, None].conj() * rfft(t, size, axis=0)
-        for m, (_, t) in zip(models, record, strict=True)
-    ]
+    roots = [m.root_spectrum(size)[:, None].conj() * t for m, t in zip(models, lines, strict=True)]
     out = np.zeros((n, n))
     for i, j in zip(*np.nonzero(together), strict=True):
         out += together[i, j] * (roots[i].conj().T @ (both[:, None] * roots[j])).real / size
