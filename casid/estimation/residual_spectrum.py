@@ -234,7 +234,8 @@ def _autoregressions(
 def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
     """(1) of a fit and the orders of its autoregressions; None where every residual is white.
 
-    Wider by `_student_factors`: intervals of 1.96 standard errors hold what they say. Missing samples are passed over as in `residual_autoregressions`.
+    Wider by `_student_factors`: intervals of 1.96 standard errors hold what they say. Missing
+    samples are passed over as in `residual_autoregressions`.
 
     Parameters
     ----------
