@@ -109,7 +109,9 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     is_beside = bool(disturbances) or bool(found.adopted and found.at.noise.spectra)
     fitted, held = _errors(found, with_disturbances=is_beside)
     part = held if held.get("extended_rmse") else fitted
-    counted = fitted if is_beside else part  # what is held out has another disturbance in it
+    # What is held out has another disturbance in it, but one that its past foretells.
+    is_random = is_beside and _is_foretold(found, remainder)
+    counted = fitted if is_random else part
     causes = causes_of(found, extended or baseline, problem.columns())
     negated = partial(_with_the_sign, found)
     remaining = _remaining(
@@ -120,6 +122,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         extended or baseline,
         remainder,
         false_alarm_rate,
+        is_random=is_random,
     )
     bounds = bounds_met(problem, found.best_fit)
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
@@ -176,6 +179,19 @@ def _extended(problem: Problem, found: Findings, baseline: Estimate) -> Estimate
     return replace(extended, model=extended_model(found, extended.model, baseline.model))
 
 
+def _is_foretold(found: Findings, remainder: Remainder | None) -> bool:
+    """False where causes beside a disturbance do not foretell what was held out as they fit.
+
+    A law that holds in the fitted part alone leaves there what a small disturbance absorbs.
+    """
+    beside = remainder.beside if remainder is not None else None
+    at = beside or found.at
+    if not found.adopted or at.unbiased is None:
+        return True
+    far = partial(unlike_beside, at, found.baseline.split)
+    return not found.search.attempts.attempt("the comparison with what was held out", far)
+
+
 def _by_estimates(found: Findings, held: Errors, baseline: Estimate) -> Mapping[str, float]:
     """What the errors of the estimates may add to what was held out, of the model as it is."""
     if not held:
@@ -193,8 +209,10 @@ def _remaining(
     estimate: Estimate,
     remainder: Remainder | None,
     false_alarm_rate: float,
+    *,
+    is_random: bool,
 ) -> Remaining | None:
-    """How much the causes explain, and whether what they leave is noise."""
+    """How much the causes explain, and whether what they leave is noise, or random at least."""
     chance: dict[str, float] = {}
     if is_held:
         split, floor = found.baseline.split, part["noise_floor"]
@@ -209,7 +227,7 @@ def _remaining(
         false_alarm_rate=remainder.level if remainder is not None else false_alarm_rate,
         noise=NoiseFound(
             estimate.fit.coloured,
-            is_random=remainder is not None and bool(remainder.disturbances),
+            is_random=is_random and remainder is not None and bool(remainder.disturbances),
             is_of_inputs=_has_input_noise(found.at),
             chance=chance,
         ),

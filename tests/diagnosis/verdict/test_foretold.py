@@ -1,0 +1,56 @@
+"""Causes beside a disturbance that hold in the fitted part alone: what is held out says so."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import casid
+from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.verdict.judgement import _is_foretold
+from casid.estimation.holdout import split_records
+from casid.estimation.simulation.fit import FitSettings, fit_model
+
+N, TS, GAIN, RATE = 1200, 0.1, 2.0, 0.5
+
+
+def model() -> casid.Model:
+    m = casid.Model("store")
+    x, u = m.state("x", "1"), m.input("u", "1", hold="zoh", known=True)
+    a, b = (m.parameter(n, "1/s", start=1.0, lower=0.0, upper=10.0) for n in ("a", "b"))
+    m.balance(x, "content", inertia=1, terms=[b * u, -a * x], unit="1/s")
+    m.output("y", x, "1")
+    return m
+
+
+def record(seed: int, changed: float) -> casid.Record:
+    """x' = b u - a x + d, by its exact solution; after 70 % `changed` times as much of b."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1.0, 1.0, N // 20), 20)
+    slow = 0.05 * lfilter([1.0], [1.0, -0.9], rng.standard_normal(N))
+    decay = np.exp(-RATE * TS)
+    gain = GAIN * np.where(np.arange(N) < 0.7 * N, 1.0, changed)
+    x = lfilter([0.0, (1 - decay) / RATE], [1.0, -decay], gain * u + slow)
+    y = x + 0.02 * rng.standard_normal(N)
+    return casid.Record({"u": u, "y": y}, {"u": "1", "y": "1"}, Ts=TS)
+
+
+@pytest.mark.parametrize(("changed", "is_foretold"), [(1.0, True), (0.5, False)])
+def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(changed: float, is_foretold: bool):
+    split = split_records([casid.Experiment(record(2, changed), {}, "r")], 0.3)
+    weighing = Weighing(split.fitted)
+    fit = fit_model(model(), split.fitted, FitSettings(starts=1, substeps=1))
+    at = weighing.with_disturbances().weigh(model(), fit, rounds=1)
+    assert list(at.noise.spectra) == ["content"]
+    search = Search(weighing, {})
+    baseline = SimpleNamespace(split=split)
+    found: Any = SimpleNamespace(adopted=(object(),), at=at, baseline=baseline, search=search)
+    assert _is_foretold(found, None) is is_foretold
+    # Without causes there is a verdict of its own for it.
+    found.adopted = ()
+    assert _is_foretold(found, None)
