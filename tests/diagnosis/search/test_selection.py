@@ -81,3 +81,15 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
         "the comparison of gain error of position with its rivals was left out: 0 samples are too "
         "few for 6 unknowns"
     )
+
+
+def test_no_further_cause_is_sought_in_what_a_random_disturbance_leaves(monkeypatch):
+    """Nothing of the search is at hand here: a round that began would fail."""
+    monkeypatch.setattr(_Selection, "_is_random", lambda _: True)
+    at = SimpleNamespace(noise_absorbs_misfit=True)
+    search = SimpleNamespace(attempts=Attempts())
+    state = _Selection(search, None, None, None, at, None, at, None, None, [SimpleNamespace()])
+    assert not state.adopt_next()
+    state.adopted = []
+    with pytest.raises(AttributeError):
+        state.adopt_next()

@@ -224,6 +224,34 @@ def test_a_search_at_a_kink_ends_sooner_where_less_is_enough():
     assert early.passes < whole.passes / 2
 
 
+class Slope:
+    """1000 - x, of which every step of Gauss and Newton takes one; `steps` counts them."""
+
+    n_constraints = 0
+
+    def __init__(self):
+        self.steps = 0
+
+    def evaluate(self, x):
+        self.steps += 1
+        return Evaluation(1000.0 - x[0], np.array([-1.0]), np.eye(1))
+
+
+@pytest.mark.parametrize(("below", "ends_early"), [(960.0, True), (980.0, False), (np.inf, False)])
+def test_a_search_ends_where_its_pace_would_not_bring_it_low_enough(below, ends_early):
+    """At one a step, thirty steps come below 980 and never below 960."""
+    criterion = Slope()
+    nlp = Nlp("slope")
+    nlp.variable("x", 0.0)
+    nlp.minimize(criterion)
+    solver = Solver(max_iterations=30, options=NEAR, enough=1e-9, below=below)
+    end = nlp.solve(solver, throw=False, natural_scales=True)
+    assert (criterion.steps < 15) == ends_early
+    assert end.status == (
+        "Search_Direction_Becomes_Too_Small" if ends_early else "Maximum_Iterations_Exceeded"
+    )
+
+
 def test_a_criterion_with_constraints_is_solved_to_its_end_whatever_is_enough():
     """It may have to rise for as long as they are not met."""
     solver = Solver(options=NEAR, enough=0.5)
