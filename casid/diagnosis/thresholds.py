@@ -913,6 +913,12 @@ class Foresight:
         f"{TESTS}/search/test_simulation_errors.py",
         "Blackman and Tukey, The Measurement of Power Spectra, Dover 1958, section 23",
     )
+    all_but: float = _is(
+        0.01,
+        "of the squares of each held-out error, which causes leave at most where no second search "
+        "beside a disturbance is worth its time: one that moves the system leaves more",
+        f"{TESTS}/search/test_causes_that_foretell.py",
+    )
 
 
 @dataclass(frozen=True, slots=True)

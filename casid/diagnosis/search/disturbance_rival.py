@@ -11,8 +11,8 @@ A disturbance is an explanation only where the residual under it is one: station
 on no state or input.
 
 A disturbance is another one in what was held out: it explains nothing that causes foresee there
-(`is_predicted`). Where causes do, and what they leave is no disturbance either, nothing is sought
-beside one.
+(`is_predicted`). Where causes foresee all but a little, and that is no disturbance either, nothing
+is sought beside one.
 
 Of several causes each is compared with a disturbance in its place beside the others: the first may
 be a law, and the next what the disturbance leaves of it. Where a disturbance is left, the extended
@@ -48,6 +48,7 @@ from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.search.simulation_errors import (
     Soundness,
+    is_all_but_predicted,
     is_predicted,
     simulation_errors,
 )
@@ -95,15 +96,14 @@ def weighed_against_disturbances(
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(again.weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
-        is_foreseen = _predicts(fit, baseline)
-        may_be_random = not (is_foreseen or is_more_than_noise(bare, again))
+        may_be_random = not (_predicts(fit, baseline) or is_more_than_noise(bare, again))
         charged = _charged(found, bare, search, beside) if may_be_random else found
         is_random = may_be_random and nothing <= score
         is_random |= all(a.p_value >= search.alpha for a in charged.adopted)
         if is_clean and not is_random:
             return search, start, charged
-        if is_foreseen and not is_random and is_more_than_noise(own, again):
-            return search, start, charged  # what is left is no disturbance
+        if not is_random and _all_but_predicts(fit, baseline) and is_more_than_noise(own, again):
+            return search, start, charged  # what little is left is no disturbance
         found = charged
     other, likelier = _searched_beside(again, bare, baseline, settings)
     _add_refused(search, again.refused)
@@ -203,6 +203,13 @@ def _each_beside(
 def _predicts(fit: Fit, baseline: Baseline) -> bool:
     """True if an extended model foresees most of what was held out of the records."""
     return _foresees(baseline.fit, fit, baseline.split)
+
+
+def _all_but_predicts(fit: Fit, baseline: Baseline) -> bool:
+    """True if an extended model foresees all but a little of what was held out."""
+    units = fit.criterion.weights
+    errors = (simulation_errors(f, baseline.split, units) for f in (baseline.fit, fit))
+    return is_all_but_predicted(*errors)
 
 
 def _foresees(before: Fit, after: Fit, split: Split) -> bool:

@@ -216,13 +216,28 @@ def is_predicted(before: SimulationErrors, after: SimulationErrors) -> bool:
     part predicts nothing there. The sums of squares have the degrees of freedom that their
     spectra leave; that both errors share a disturbance makes the F-test err on its side.
     """
-    ways = [(before.continued, after.continued), (before.restarted, after.restarted)]
-    ways = [(old, new) for old, new in ways if len(old)]
+    ways = _held_out_ways(before, after)
     return bool(ways) and all(_is_far_less(new, old) for old, new in ways)
 
 
+def is_all_but_predicted(before: SimulationErrors, after: SimulationErrors) -> bool:
+    """True if an extension leaves next to nothing of every held-out error, by chance or not."""
+    ways = _held_out_ways(before, after)
+    return bool(ways) and all(_square(new) <= FORESIGHT.all_but * _square(old) for old, new in ways)
+
+
+def _held_out_ways(before: SimulationErrors, after: SimulationErrors) -> list[tuple[Array, Array]]:
+    """Errors of what was held out, of runs that continue and of those that begin there."""
+    ways = [(before.continued, after.continued), (before.restarted, after.restarted)]
+    return [(old, new) for old, new in ways if len(old)]
+
+
+def _square(e: Array) -> float:
+    return float(np.nansum(e**2))
+
+
 def _is_far_less(new: Array, old: Array) -> bool:
-    sums = [float(np.nansum(e**2)) for e in (new, old)]
+    sums = [_square(e) for e in (new, old)]
     freedom = [degrees_of_freedom(e) for e in (new, old)]
     if not sums[0] <= FORESIGHT.left * sums[1]:
         return False
