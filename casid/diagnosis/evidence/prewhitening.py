@@ -108,10 +108,7 @@ class Weighing:
         """A model under the noise that was estimated at a fit."""
         fit = found.fit
         if self.takes_disturbances and found.full.spectra:
-            best = self.likeliest(model, found)
-            fit = self.minimum(self.criterion(model, best.noise, best.fit.values, best.criterion))
-            use_samples_of(fit.criterion, best.criterion)
-            return replace(best, fit=fit, unbiased=best.fit)
+            return self._comparable(self.likeliest(model, found))
         if found.noise_absorbs_misfit:
             at = self._without_bias(found)
             if at is None or at.noise_absorbs_misfit:
@@ -131,6 +128,30 @@ class Weighing:
             noise_absorbs_misfit=False,
             unbiased=None if at is found else at.fit,
         )
+
+    def _comparable(self, best: Weighted) -> Weighted:
+        """The likeliest point, and the minimum there that whatever is compared is fitted to."""
+        fit = self.minimum(self.criterion(best.model, best.noise, best.fit.values, best.criterion))
+        use_samples_of(fit.criterion, best.criterion)
+        return replace(best, fit=fit, unbiased=best.fit)
+
+    def from_disturbance_of(self, bare: Weighted, extended: Weighted) -> Weighted:
+        """The likelier of a model and the same as found from where an extension of it ended.
+
+        Its likelihood has several maxima. An extension that led to a higher one, which is there
+        without it as well, would have its evidence from that.
+        """
+        if not extended.full.spectra:
+            return bare
+        there = (extended.unbiased or extended.fit).values
+        fit, criterion = bare.fit, bare.criterion
+        x = np.array([there.get(name, v) for name, v in fit.values.items()])
+        x = np.clip(
+            x, [v.lower for v in criterion.variables], [v.upper for v in criterion.variables]
+        )
+        at = replace(bare, fit=_moved(fit, criterion, x), full=extended.full, unbiased=None)
+        found = self._comparable(self._in_turn(bare.model, at))
+        return min(bare, found, key=minus_log_likelihood)
 
     def _with_floors(self, found: Weighted) -> Weighing:
         """The same with the noise of inputs known by their own spectra, where these are more exact.

@@ -93,6 +93,8 @@ def weighed_against_disturbances(
             return search, start, _charged(found, bare, search)  # likelier with no disturbance
         fit = found.fit
         own = search.under_disturbance(fit)
+        bare = again.weighing.from_disturbance_of(bare, own)
+        start, nothing = replace(start, beside=bare), score_of(bare)
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(again.weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
@@ -267,11 +269,16 @@ def _score(
 
 
 def _charge(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
-    """What effects that were chosen among all that were tested are charged in it."""
+    """What effects that were chosen among all that were tested are charged in it, and disturbances.
+
+    A disturbance has parameters as well: its variance, and those of its spectrum. A band narrower
+    than a record resolves would otherwise be preferred to the line that it is there.
+    """
     table = search.first_table
     choice = 2 * math.log(len(table.tested)) if table is not None and table.tested else 0.0
     samples = math.log(at.criterion.n_samples)
-    return sum(a.candidate.effect.cost * samples + choice for a in adopted)
+    shapes = sum(2 + (s.damping is not None) for s in at.noise.spectra.values())
+    return shapes * samples + sum(a.candidate.effect.cost * samples + choice for a in adopted)
 
 
 def _add_refused(search: Search, rows: Sequence[tuple[Candidate, str]]) -> None:
