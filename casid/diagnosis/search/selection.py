@@ -104,10 +104,10 @@ class _Selection:
     def adopt_next(self) -> bool:
         """One round of the search; False where nothing was adopted.
 
-        Nor is anything sought in what a random disturbance leaves: in its presence that has a
-        search of its own.
+        Nor is a third cause sought in what is a random disturbance: in its presence that has a
+        search of its own. What the first of two causes leaves may pass for one.
         """
-        if self.adopted and self.at.noise_absorbs_misfit and self._is_random():
+        if len(self.adopted) > 1 and self.at.noise_absorbs_misfit and self._is_random():
             return False
         found = self._significant()
         for best in found:

@@ -83,13 +83,14 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
     )
 
 
-def test_no_further_cause_is_sought_in_what_a_random_disturbance_leaves(monkeypatch):
+def test_no_third_cause_is_sought_in_what_a_random_disturbance_leaves(monkeypatch):
     """Nothing of the search is at hand here: a round that began would fail."""
     monkeypatch.setattr(_Selection, "_is_random", lambda _: True)
     at = SimpleNamespace(noise_absorbs_misfit=True)
     search = SimpleNamespace(attempts=Attempts())
-    state = _Selection(search, None, None, None, at, None, at, None, None, [SimpleNamespace()])
+    two = [SimpleNamespace(candidate=None), SimpleNamespace(candidate=None)]
+    state = _Selection(search, None, None, None, at, None, at, None, None, two)
     assert not state.adopt_next()
-    state.adopted = []
+    state.adopted = two[:1]
     with pytest.raises(AttributeError):
         state.adopt_next()
