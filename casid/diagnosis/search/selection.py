@@ -102,13 +102,7 @@ class _Selection:
         return Adoption(tuple(self.adopted), self.at, self.fit)
 
     def adopt_next(self) -> bool:
-        """One round of the search; False where nothing was adopted.
-
-        Nor is a third cause sought in what is a random disturbance: in its presence that has a
-        search of its own. What the first of two causes leaves may pass for one.
-        """
-        if len(self.adopted) > 1 and self.at.noise_absorbs_misfit and self._is_random():
-            return False
+        """One round of the search; False where nothing was adopted."""
         found = self._significant()
         for best in found:
             if self._adopt([best]):

@@ -81,16 +81,3 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
         "the comparison of gain error of position with its rivals was left out: 0 samples are too "
         "few for 6 unknowns"
     )
-
-
-def test_no_third_cause_is_sought_in_what_a_random_disturbance_leaves(monkeypatch):
-    """Nothing of the search is at hand here: a round that began would fail."""
-    monkeypatch.setattr(_Selection, "_is_random", lambda _: True)
-    at = SimpleNamespace(noise_absorbs_misfit=True)
-    search = SimpleNamespace(attempts=Attempts())
-    two = [SimpleNamespace(candidate=None), SimpleNamespace(candidate=None)]
-    state = _Selection(search, None, None, None, at, None, at, None, None, two)
-    assert not state.adopt_next()
-    state.adopted = two[:1]
-    with pytest.raises(AttributeError):
-        state.adopt_next()
