@@ -88,8 +88,7 @@ def weighed_against_disturbances(
     score, is_random, nothing = math.inf, False, score_of(bare)
     found = _each_beside(again, found, baseline, search, settings)
     if found.adopted and found.fit is not None:
-        is_clean = not found.at.noise_absorbs_misfit
-        if is_clean and score_of(found.at, found.adopted) < nothing:
+        if not found.at.noise_absorbs_misfit and score_of(found.at, found.adopted) < nothing:
             return search, start, _charged(found, bare, search)  # likelier with no disturbance
         fit = found.fit
         own = search.under_disturbance(fit)
@@ -102,7 +101,7 @@ def weighed_against_disturbances(
         charged = _charged(found, bare, search, beside) if may_be_random else found
         is_random = may_be_random and nothing <= score
         is_random |= all(a.p_value >= search.alpha for a in charged.adopted)
-        if is_clean and not is_random:
+        if not found.at.noise_absorbs_misfit and not is_random:
             return search, start, charged
         if not is_random and _all_but_predicts(fit, baseline) and is_more_than_noise(own, again):
             return search, start, charged  # what little is left is no disturbance
