@@ -19,6 +19,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.innovations import Innovations
+from casid.estimation.varying_innovations import VaryingInnovations
 
 FARTHEST = 200
 """Samples between neighbours in the banded system, at most."""
@@ -39,7 +40,7 @@ class UnbrokenInnovations:
     rows : where they are.
     """
 
-    def __init__(self, inside: Innovations, rows: slice) -> None:
+    def __init__(self, inside: Innovations | VaryingInnovations, rows: slice) -> None:
         self._inside, self._rows = inside, rows
 
     def whiten(self, columns: Array) -> Array:

@@ -33,7 +33,10 @@ from casid.estimation.noise_response import Response, name_of_force, noise_respo
 from casid.estimation.residual_spectra import Spectra, restricted, spectra_of
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.varying_innovations import PartialVarying, VaryingInnovations
 from casid.model.model import Model
+
+Partial = PartialInnovations | UnbrokenInnovations | PartialVarying
 
 Variance = tuple[Literal["output", "source"], str]
 """Whose: of an output, or of a source, which is a measured input or a force. The law of a state
@@ -54,16 +57,25 @@ class NoiseModel:
     misfit: float = float("nan")  # minus Whittle's log-likelihood of the residual it is found from
     used: Sequence[BoolArray] = ()  # (N, ny) an experiment, where samples are missing
     known: Mapping[str, float] = field(default_factory=dict)  # channel -> noise that was stated
+    varying: Sequence[
+        VaryingInnovations
+    ] = ()  # one an experiment, in place of the average response
     _innovations: dict[tuple[int, int], Innovations] = field(
         default_factory=dict, init=False, repr=False
     )
-    _partial: dict[tuple[int, bytes], PartialInnovations | UnbrokenInnovations] = field(
+    _cut: dict[tuple[int, int, int], VaryingInnovations] = field(
         default_factory=dict, init=False, repr=False
     )
+    _partial: dict[tuple[int, bytes], Partial] = field(default_factory=dict, init=False, repr=False)
 
     def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
         """The same without disturbances: sensors and measured inputs only."""
-        return replace(self, source_sd={name: input_sd.get(name, 0.0) for name in self.source_sd})
+        quiet = {name: input_sd.get(name, 0.0) for name in self.source_sd}
+        return replace(self, source_sd=quiet, varying=())
+
+    def averaged(self) -> NoiseModel:
+        """The same by the average response: for other parts of records than it was found from."""
+        return replace(self, varying=()) if self.varying else self
 
     def variance_error(self, name: str) -> float:
         """Standard error of the variance of a source; 0 where it was not sought."""
@@ -149,13 +161,13 @@ class NoiseModel:
         partial = self._partial_of(experiment, len(columns), used)
         if partial is not None:
             return partial.whiten(columns)
-        return self._innovations_of(experiment, len(columns)).whiten(columns)
+        return self._along(experiment, slice(0, len(columns))).whiten(columns)
 
     def weighted(self, columns: Array, experiment: int) -> Array:
         """The inverse of a complete record's covariance times columns (N, ny, m), weighted."""
         if not any(self.source_sd.values()):
             return np.asarray(columns / ((self.output_sd * self.weights) ** 2)[None, :, None])
-        of = self._innovations_of(experiment, len(columns))
+        of = self._along(experiment, slice(0, len(columns)))
         return of.transposed(of.whiten(columns))
 
     def seen(self, white: Array, experiment: int) -> Array:
@@ -188,7 +200,7 @@ class NoiseModel:
             return residual
         if not any(self.source_sd.values()):
             return np.where(used, residual, self.output_sd * rng.standard_normal(used.shape))
-        partial = self._partial_of(experiment, len(residual), None)
+        partial = self.averaged()._partial_of(experiment, len(residual), None)
         assert isinstance(partial, PartialInnovations)
         return partial.filled(residual * self.weights, rng) / self.weights
 
@@ -197,22 +209,20 @@ class NoiseModel:
         used = self.used[experiment] if self.used else None
         return None if used is None or len(used) != samples or used.all() else used
 
-    def _partial_of(
-        self, experiment: int, samples: int, used: BoolArray | None
-    ) -> PartialInnovations | UnbrokenInnovations | None:
+    def _partial_of(self, experiment: int, samples: int, used: BoolArray | None) -> Partial | None:
         used = self._used_of(experiment, samples) if used is None else used
         if used is None or used.all():
             return None
         key = (experiment, used.tobytes())
         if key not in self._partial:
             rows = unbroken(used)
-            count = samples if rows is None else rows.stop - rows.start
-            of = self._innovations_of(experiment, count)
-            self._partial[key] = (
-                PartialInnovations(of, used.copy())
-                if rows is None
-                else UnbrokenInnovations(of, rows)
-            )
+            of = self._along(experiment, rows or slice(0, samples))
+            if rows is not None:
+                self._partial[key] = UnbrokenInnovations(of, rows)
+            elif isinstance(of, VaryingInnovations):
+                self._partial[key] = PartialVarying(of, used.copy())
+            else:
+                self._partial[key] = PartialInnovations(of, used.copy())
         return self._partial[key]
 
     def matrix(self, experiment: int) -> Array:
@@ -231,8 +241,17 @@ class NoiseModel:
         if not any(self.source_sd.values()):
             return 2 * float(count @ np.log(self.output_sd))
         there = self._partial_of(experiment, samples, None)
-        whitener = there or self._innovations_of(experiment, samples)
+        whitener = there or self._along(experiment, slice(0, samples))
         return whitener.log_determinant(samples) - 2 * float(count @ np.log(self.weights))
+
+    def _along(self, experiment: int, rows: slice) -> Innovations | VaryingInnovations:
+        """The innovations of these rows of a record, none of which is missing."""
+        if not self.varying:
+            return self._innovations_of(experiment, rows.stop - rows.start)
+        key = experiment, rows.start, rows.stop
+        if key not in self._cut:
+            self._cut[key] = self.varying[experiment].cut(rows)
+        return self._cut[key]
 
     def _innovations_of(self, experiment: int, samples: int) -> Innovations:
         if (experiment, samples) not in self._innovations:

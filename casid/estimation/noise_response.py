@@ -39,6 +39,26 @@ class Response:
     gain: Array | None = None  # (F, ny, ns) complex, where several outputs are whitened together
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """The simulation of one record from its noise sources on, linearised at every sample.
+
+    Attributes
+    ----------
+    a, c : (N, nx, nx), (N, ny, nx).
+    b0, b1 : (N, nx, ns) of the sources at a sample and at the next one.
+    d : (N, ny, ns).
+    """
+
+    sources: tuple[str, ...]
+    Ts: float
+    a: Array
+    b0: Array
+    b1: Array
+    c: Array
+    d: Array
+
+
 def noise_response(
     criterion: SimulationError,
     x: Array,
@@ -97,7 +117,7 @@ def _mean_slopes(
     amplitude-dependent terms count by how often they are met.
     """
     d = criterion.data[experiment]
-    disturbed, e, slopes, is_constant = criterion.built(
+    disturbed, e, _, is_constant = criterion.built(
         ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
     )
     if is_constant:
@@ -106,16 +126,53 @@ def _mean_slopes(
         states = criterion.simulate(x, experiment)[1]
     else:
         states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
-    points = min(len(states), POINTS)
-    pick = np.linspace(0, len(states) - 1, points).astype(int)
-    u = np.hstack([d.u[pick], np.zeros((points, len(e.inputs) - d.u.shape[1]))])
-    p = np.tile(criterion.parameter_vector(x, experiment)[0][:, None], (1, points))
-    mapped = criterion.built(("noise response", d.Ts, points), lambda: slopes.map(points))
-    found = mapped(states[pick].T, u.T, u.T, p)
-    a, b0, b1, c, dd = (np.array(m).reshape(m.shape[0], points, -1) for m in found)
+    pick = np.linspace(0, len(states) - 1, min(len(states), POINTS)).astype(int)
+    a, b0, b1, c, dd = _slopes(criterion, x, experiment, states[pick], (d.u[pick], d.u[pick]))
     sizes = _gains(np.concatenate([b0, b1, dd]))
     b0, b1, dd = np.split(sizes, [a.shape[0], 2 * a.shape[0]])
     return disturbed, e, (a.mean(axis=1), b0, b1, c.mean(axis=1), dd)
+
+
+def steps_along(criterion: SimulationError, x: Array, experiment: int) -> Steps | None:
+    """The steps of a record at every sample; None of a model that is linear and constant.
+
+    What sensors and actuators do beyond expressions is left out.
+    """
+    d = criterion.data[experiment]
+    disturbed, e, _, is_constant = criterion.built(
+        ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
+    )
+    if is_constant:
+        return None
+    ahead = np.vstack([d.u[1:], d.u[-1:]])
+    states = criterion.simulated(x, experiment).x
+    found = _slopes(criterion, x, experiment, states, (d.u, ahead))
+    a, b0, b1, c, dd = (np.ascontiguousarray(m.swapaxes(0, 1)) for m in found)
+    forced = places_of_forces(criterion.model)
+    measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
+    of = [e.inputs.index(n) for n in measured]
+    of += range(len(e.inputs) - len(forced), len(e.inputs))
+    return Steps((*measured, *forced), d.Ts, a, b0[:, :, of], b1[:, :, of], c, dd[:, :, of])
+
+
+def _slopes(
+    criterion: SimulationError, x: Array, experiment: int, states: Array, u: tuple[Array, Array]
+) -> tuple[Array, ...]:
+    """Slopes (rows, points, columns) of a sample at states (points, nx), as `_linearised` has them.
+
+    Parameters
+    ----------
+    u : (points, nu) the recorded inputs there, and at the sample after.
+    """
+    d, points = criterion.data[experiment], len(states)
+    _, e, slopes, _ = criterion.built(
+        ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
+    )
+    here, ahead = (np.hstack([v, np.zeros((points, len(e.inputs) - v.shape[1]))]) for v in u)
+    p = np.tile(criterion.parameter_vector(x, experiment)[0][:, None], (1, points))
+    mapped = criterion.built(("noise response", d.Ts, points), lambda: slopes.map(points))
+    found = mapped(states.T, here.T, ahead.T, p)
+    return tuple(np.array(m).reshape(m.shape[0], points, -1) for m in found)
 
 
 def _gains(at_points: Array) -> Array:

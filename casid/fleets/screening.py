@@ -52,6 +52,7 @@ from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.varying_response import with_varying_response
 from casid.fleets.thresholds import SCREENING
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.user_effects import user_effects
@@ -269,6 +270,7 @@ class Screen:
             of = [left / at.weights]
             noise = estimate_noise(at, moved, known=self.problem.noise, residuals=of)
             noise = with_disturbance_spectra(noise, at, moved, self.problem.noise, residuals=of)
+            noise = with_varying_response(noise, at, moved, residuals=of)
             misfit = 0.5 * float(np.sum(noise.whiten(left[:, :, None], 0) ** 2))
             least = min(least, misfit + 0.5 * noise.log_determinant(0, shape[0]))
         return least

@@ -26,6 +26,7 @@ from casid.estimation.noise_floor import white_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.unknowns import Variable
+from casid.estimation.varying_response import with_varying_response
 from casid.model.model import Model
 
 NEAR = Solver(
@@ -296,8 +297,9 @@ class Weighing:
         found = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
         if not self.takes_disturbances:
             return found
-        known = self.known_noise
-        return with_disturbance_spectra(found, fit.criterion, fit.x, known, is_simple=is_simple)
+        c, x, known = fit.criterion, fit.x, self.known_noise
+        found = with_disturbance_spectra(found, c, x, known, is_simple=is_simple)
+        return with_varying_response(found, c, x)
 
     def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
         """Another model under the noise and the weights of one that was judged."""

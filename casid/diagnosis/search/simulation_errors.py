@@ -90,6 +90,7 @@ def simulation_errors(
     SolveError
         If an initial state of what was held out cannot be fitted.
     """
+    noise = noise.averaged() if noise is not None else None  # the response of a path held out
     whole = _whole_errors(fit, split, units, noise)
     inside = [error[~held] for error, held in zip(whole, split.held, strict=True)]
     ends = [error[held] for error, held in zip(whole, split.held, strict=True)]

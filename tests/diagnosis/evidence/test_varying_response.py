@@ -1,0 +1,83 @@
+"""A slow force where the throughput varies is a disturbance, and no function of the flow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import casid
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.residual_tests import NOISE, residual_tests
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
+
+TS, N = 30.0, 1000
+VOLUME, RATE = 2e-3, 1.3e-3
+
+
+def vessel() -> casid.Model:
+    """What flows in is converted at a rate; substrate and product are measured."""
+    m = casid.Model("vessel")
+    s, p = m.state("s", "mol/m^3"), m.state("p", "mol/m^3")
+    feed = m.input("feed", "mol/m^3", hold="zoh", known=True)
+    flow = m.input("flow", "m^3/s", hold="zoh", known=True)
+    volume = m.constant("V", VOLUME, "m^3")
+    k = m.parameter("k", "1/s", start=1e-3, lower=0.0, upper=0.1)
+    m.balance(s, "substrate", inertia=volume, terms=[flow * (feed - s), -k * volume * s])
+    m.balance(p, "product", inertia=volume, terms=[-flow * p, k * volume * s])
+    m.output("s", s, "mol/m^3")
+    m.output("p", p, "mol/m^3")
+    return m
+
+
+def record(seed: int, flows: tuple[float, float]) -> casid.Record:
+    """Steps of feed and flow, and a leak of substrate that wanders over a quarter of an hour."""
+    rng = np.random.default_rng(seed)
+    feed = np.repeat(rng.uniform(4.0, 24.0, N // 50), 50)
+    flow = np.repeat(rng.uniform(*flows, N // 40), 40) / 60e3
+    share = np.exp(-TS / 900.0)
+    force, x, out = 0.0, np.array([6.0, 4.0]), np.empty((N, 2))
+    for i in range(N):
+        out[i] = x
+        out_by = flow[i] / VOLUME
+        step = TS / 10
+        for _ in range(10):
+            r = RATE * x[0]
+            x = x + step * np.array([out_by * (feed[i] - x[0]) - r + force, r - out_by * x[1]])
+        force = share * force + 8e-4 * np.sqrt(1 - share**2) * rng.standard_normal()
+    out += 0.08 * rng.standard_normal(out.shape)
+    columns = {"feed": feed, "flow": flow, "s": out[:, 0], "p": out[:, 1]}
+    units = {"feed": "mol/m^3", "flow": "m^3/s", "s": "mol/m^3", "p": "mol/m^3"}
+    return casid.Record(columns, units, Ts=TS)
+
+
+def under_disturbance(flows: tuple[float, float]) -> tuple[Weighted, list[casid.Experiment]]:
+    experiments = [casid.Experiment(record(3, flows), {}, "r")]
+    criterion = SimulationError(vessel(), experiments)
+    fit = minimize_simulation_error(criterion, throw=False)
+    return Weighing(experiments).with_disturbances().weigh(fit.criterion.model, fit), experiments
+
+
+def test_the_residual_under_a_response_that_varies_is_white():
+    """By the average response it was none, and passed for a function of what changed it."""
+    at, experiments = under_disturbance((0.06, 0.30))
+    assert "substrate" in at.noise.spectra
+    tests = residual_tests(at, experiments, alpha=0.01)
+    assert tests.verdict == NOISE
+    assert tests.p_spectrum > 0.01
+    k = (at.unbiased or at.fit).values["k"]
+    assert k == pytest.approx(RATE, rel=0.03)
+
+
+def test_held_out_parts_of_a_record_are_whitened_by_the_average_response():
+    """Their path is another one, of perhaps as many samples."""
+    at, _ = under_disturbance((0.06, 0.30))
+    assert at.noise.varying
+    assert not at.noise.averaged().varying
+    assert not at.noise.quiet({}).varying
+
+
+def test_a_response_that_hardly_varies_stays_the_average():
+    at, _ = under_disturbance((0.175, 0.185))
+    assert "substrate" in at.noise.spectra
+    assert not at.noise.varying
