@@ -47,6 +47,7 @@ from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.search.simulation_errors import (
+    SimulationErrors,
     Soundness,
     is_all_but_predicted,
     is_predicted,
@@ -97,13 +98,13 @@ def weighed_against_disturbances(
         found = replace(found, at=replace(found.at, beside=own))
         beside = _beside(again.weighing, found, own, bare)
         score = 2 * beside + _charge(bare, found.adopted, search)
-        may_be_random = not (_predicts(fit, baseline) or is_more_than_noise(bare, again))
+        errors = _errors(baseline.fit, fit, baseline.split)
+        may_be_random = not (is_predicted(*errors) or is_more_than_noise(bare, again))
         charged = _charged(found, bare, search, beside) if may_be_random else found
-        is_random = may_be_random and nothing <= score
-        is_random |= all(a.p_value >= search.alpha for a in charged.adopted)
+        is_random = (may_be_random and nothing <= score) or not _is_significant(charged, search)
         if not found.at.noise_absorbs_misfit and not is_random:
             return search, start, charged
-        if not is_random and _all_but_predicts(fit, baseline) and is_more_than_noise(own, again):
+        if not is_random and is_all_but_predicted(*errors) and is_more_than_noise(own, again):
             return search, start, charged  # what little is left is no disturbance
         found = charged
     other, likelier = _searched_beside(again, bare, baseline, settings)
@@ -201,31 +202,28 @@ def _each_beside(
     return search.attempts.attempt(what, partial(refine.needed, found, why)) or found
 
 
-def _predicts(fit: Fit, baseline: Baseline) -> bool:
-    """True if an extended model foresees most of what was held out of the records."""
-    return _foresees(baseline.fit, fit, baseline.split)
-
-
-def _all_but_predicts(fit: Fit, baseline: Baseline) -> bool:
-    """True if an extended model foresees all but a little of what was held out."""
-    units = fit.criterion.weights
-    errors = (simulation_errors(f, baseline.split, units) for f in (baseline.fit, fit))
-    return is_all_but_predicted(*errors)
-
-
 def _foresees(before: Fit, after: Fit, split: Split) -> bool:
     """True if most of what one model leaves of what was held out is foreseen by another."""
+    return is_predicted(*_errors(before, after, split))
+
+
+def _errors(before: Fit, after: Fit, split: Split) -> tuple[SimulationErrors, SimulationErrors]:
+    """The errors of a model and of another, in units of the other's."""
     units = after.criterion.weights
-    return is_predicted(*(simulation_errors(f, split, units) for f in (before, after)))
+    return simulation_errors(before, split, units), simulation_errors(after, split, units)
 
 
 def _significant(found: Adoption, bare: Weighted, search: Search, start: Weighted) -> Adoption:
     """What was found, if it is significant against disturbances alone; else `start`."""
     charged = _charged(found, bare, search)
-    if not charged.adopted or any(a.p_value < search.alpha for a in charged.adopted):
+    if not charged.adopted or _is_significant(charged, search):
         return charged
     search.refused += [(a.candidate, RANDOM) for a in found.adopted]
     return Adoption((), start, None)
+
+
+def _is_significant(found: Adoption, search: Search) -> bool:
+    return any(a.p_value < search.alpha for a in found.adopted)
 
 
 def _is_held(fit: Fit) -> bool:

@@ -61,7 +61,7 @@ def test_nothing_is_sought_beside_a_disturbance_where_causes_foretell(monkeypatc
     found = adopt_causes(search, baseline.start, baseline.fit, split, settings.fit)
     assert [a.candidate.effect.kind for a in found.adopted] == ["cubic_stiffness"]
     if not foretells:
-        monkeypatch.setattr(disturbance_rival, "_all_but_predicts", lambda *_: False)
+        monkeypatch.setattr(disturbance_rival, "is_all_but_predicted", lambda *_: False)
     *_, after = weighed_against_disturbances(search, found, baseline, settings)
     assert [a.candidate.effect.kind for a in after.adopted] == ["cubic_stiffness"]
     assert any("treat the remainder as a disturbance" in s for s in said) != foretells
