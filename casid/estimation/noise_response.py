@@ -117,9 +117,7 @@ def _mean_slopes(
     amplitude-dependent terms count by how often they are met.
     """
     d = criterion.data[experiment]
-    disturbed, e, _, is_constant = criterion.built(
-        ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
-    )
+    disturbed, e, _, is_constant = _linearised(criterion, d.Ts)
     if is_constant:
         states = np.zeros((1, len(e.states)))
     elif is_beside:
@@ -139,9 +137,7 @@ def steps_along(criterion: SimulationError, x: Array, experiment: int) -> Steps 
     What sensors and actuators do beyond expressions is left out.
     """
     d = criterion.data[experiment]
-    disturbed, e, _, is_constant = criterion.built(
-        ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
-    )
+    disturbed, e, _, is_constant = _linearised(criterion, d.Ts)
     if is_constant:
         return None
     ahead = np.vstack([d.u[1:], d.u[-1:]])
@@ -158,16 +154,15 @@ def steps_along(criterion: SimulationError, x: Array, experiment: int) -> Steps 
 def _slopes(
     criterion: SimulationError, x: Array, experiment: int, states: Array, u: tuple[Array, Array]
 ) -> tuple[Array, ...]:
-    """Slopes (rows, points, columns) of a sample at states (points, nx), as `_linearised` has them.
+    """Slopes (rows, points, columns) of a sample at states (points, nx): `_linearisation`'s.
+
 
     Parameters
     ----------
     u : (points, nu) the recorded inputs there, and at the sample after.
     """
     d, points = criterion.data[experiment], len(states)
-    _, e, slopes, _ = criterion.built(
-        ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
-    )
+    _, e, slopes, _ = _linearised(criterion, d.Ts)
     here, ahead = (np.hstack([v, np.zeros((points, len(e.inputs) - v.shape[1]))]) for v in u)
     p = np.tile(criterion.parameter_vector(x, experiment)[0][:, None], (1, points))
     mapped = criterion.built(("noise response", d.Ts, points), lambda: slopes.map(points))
@@ -197,6 +192,14 @@ def _gains(at_points: Array) -> Array:
 
 
 def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
+    """As `_linearisation`, built once."""
+    found: tuple[Model, Explicit, Any, bool] = criterion.built(
+        ("noise response", Ts), lambda: _linearisation(criterion, Ts)
+    )
+    return found
+
+
+def _linearisation(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
     """The model with a force in each balance, its equations, and the derivatives of a sample.
 
     The function takes states, inputs, inputs at the next sample and parameters; last whether it
