@@ -147,9 +147,7 @@ class Weighing:
         there = (extended.unbiased or extended.fit).values
         fit, criterion = bare.fit, bare.criterion
         x = np.array([there.get(name, v) for name, v in fit.values.items()])
-        x = np.clip(
-            x, [v.lower for v in criterion.variables], [v.upper for v in criterion.variables]
-        )
+        x = _within_bounds(criterion, x)
         at = replace(bare, fit=_moved(fit, criterion, x), full=extended.full, unbiased=None)
         found = self._comparable(self._in_turn(bare.model, at))
         return min(bare, found, key=minus_log_likelihood)
@@ -234,11 +232,7 @@ class Weighing:
             step = -np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
             there = x.copy()
             there[initial] += step
-            there = np.clip(
-                there,
-                [v.lower for v in criterion.variables],
-                [v.upper for v in criterion.variables],
-            )
+            there = _within_bounds(criterion, there)
             x = there if criterion.evaluate(there).value < here.value else x
         return replace(at, fit=_moved(at.fit, criterion, x), noise=at.full)
 
@@ -393,6 +387,11 @@ def _is_at_bound(v: Variable, value: float) -> bool:
     """True at a bound, or as near as a solver that stays inside comes."""
     near = PREWHITENING.near_bound * max(abs(value), v.scale)
     return bool(not v.lower + near < value < v.upper - near)
+
+
+def _within_bounds(criterion: SimulationError, x: Array) -> Array:
+    low, high = ([getattr(v, side) for v in criterion.variables] for side in ("lower", "upper"))
+    return np.clip(x, low, high)
 
 
 def _moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:

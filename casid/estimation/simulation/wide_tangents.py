@@ -80,7 +80,7 @@ class WideTangents:
         late: Sequence[int],
     ) -> None:
         self.Ts, self.n_felt, self.n_free = Ts, len(felt), len(free)
-        self.felt, (u_next, place) = list(felt), symbols
+        u_next, place = symbols
         x, p = (ca.vertcat(*[v[i] for i in of]) for v, of in ((e.x, felt), (e.p, free)))
         given = [e.x, e.u, u_next, e.p, place]
 
