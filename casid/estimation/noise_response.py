@@ -156,7 +156,6 @@ def _slopes(
 ) -> tuple[Array, ...]:
     """Slopes (rows, points, columns) of a sample at states (points, nx): `_linearisation`'s.
 
-
     Parameters
     ----------
     u : (points, nu) the recorded inputs there, and at the sample after.
