@@ -24,7 +24,7 @@ from casid.estimation.simulation.stepping import with_constants
 from casid.model.explicit_form import Explicit
 from casid.time_limit import require_time
 
-WIDE = 400
+WIDE = 250
 """Tangents of all states from which on they are computed so: fewer are as fast as one step, and a
 compiler has that step translated in a second."""
 
