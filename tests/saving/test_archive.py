@@ -6,7 +6,7 @@ import copy
 import json
 import pickle
 import zipfile
-from dataclasses import replace
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from casid.model.clock_signals import StepAt
 from casid.model.declarations import Input
 from casid.model.effects.channel_effects import time_delay
 from casid.saving.archive import VERSION
+from casid.saving.plain_values import CHANGED, MOVED, class_at
 from problems import pendulum
 from tests.estimation.fitted.test_fitted_model import record
 from tests.report.golden_results import assessment
@@ -167,3 +168,17 @@ def test_files_of_every_version_are_read_and_their_models_simulate_as_they_did(p
 
 def test_there_is_a_saved_file_of_this_version():
     assert (GOLDEN / f"estimate_{VERSION}.casid").exists()
+    assert (GOLDEN / f"fields_{VERSION}.json").exists()
+
+
+@pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.json")), ids=lambda path: path.stem)
+def test_classes_find_again_what_was_saved_and_need_no_more(path):
+    """A class that moved is in `MOVED`, and a field that is added has a default value."""
+    for place, saved in json.loads(path.read_text(encoding="utf-8")).items():
+        kind = class_at(MOVED.get(place, place))
+        if not is_dataclass(kind) or place in CHANGED:
+            continue
+        now = [f for f in fields(kind) if f.init]
+        needed = {f.name for f in now if f.default is MISSING and f.default_factory is MISSING}
+        assert needed <= set(saved), f"{place}: give {needed - set(saved)} a default value"
+        assert set(saved) <= {f.name for f in now}, f"{place}: a saved field is gone"

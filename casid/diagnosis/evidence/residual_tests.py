@@ -16,7 +16,7 @@ Three questions, each answered at one false-alarm rate and then put together by 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -80,10 +80,11 @@ class ResidualTests:
     bands: tuple[Band, ...]
     correlated: Correlated | None  # the most significant, whether it is enough or not
     blocks: Array  # (B, 3) start, end [s, records end to end], power over the noise's
-    innovation_blocks: Array  # the same of the innovations, where they are tested in time
     p_mean: float  # that the residual's mean changes by chance
     p_power: float  # that its power changes over time by chance
     p_amplitude: float  # that its power goes with the outputs' amplitude by chance
+    innovation_blocks: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """As `blocks`, of the innovations where they are tested in time; none in older files."""
 
     def at_level(self, alpha: float) -> ResidualTests:
         """The same numbers judged at another rate."""
