@@ -14,7 +14,7 @@ from .data.reading.file_format import FileFormat
 from .data.reading.record_file import read_record
 from .data.record import Record
 from .data.templates.new_problem import NewProblem, new_problem
-from .diagnosis.calibration.false_alarm_rate import Calibration
+from .diagnosis.calibration.calibration import Calibration
 from .diagnosis.diagnose import diagnose
 from .diagnosis.diagnosis import Diagnosis
 from .diagnosis.investigation import Investigation, investigate

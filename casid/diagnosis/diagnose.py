@@ -12,8 +12,10 @@ import numpy as np
 from casid.data.arguments import Recorded, experiments_of, in_si
 from casid.data.problem import Problem
 from casid.diagnosis.advice.recommendation import recommend
-from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, require_runs
+from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.calibration.false_alarm_rate import calibrate as run_calibration
+from casid.diagnosis.calibration.false_alarm_rate import require_runs
+from casid.diagnosis.calibration.null_runs import Null
 from casid.diagnosis.diagnosis import Diagnosis, Evidence, Gain, Limits
 from casid.diagnosis.evidence.baseline import fit_baseline
 from casid.diagnosis.evidence.recorded_channels import with_unused_columns

@@ -11,7 +11,7 @@ from casid.deprecation import renamed
 from casid.diagnosis.advice.isolability import Isolability
 from casid.diagnosis.advice.next_experiment import Proposal
 from casid.diagnosis.advice.undetectable import Undetectable
-from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.unexplained.description import Unexplained
 from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked, Verdict

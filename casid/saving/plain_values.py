@@ -30,6 +30,9 @@ LARGE = 64
 MOVED: Mapping[str, str] = {
     "campaigns.monte_carlo.Accuracy": "campaigns.accuracy.Accuracy",
     "data.record.Experiment": "data.experiment.Experiment",
+    "diagnosis.calibration.false_alarm_rate.Calibration": (
+        "diagnosis.calibration.calibration.Calibration"
+    ),
     **{
         f"model.model.{name}": f"model.declarations.{name}"
         for name in ("Balance", "Blend", "Input", "Parameter", "Stage", "State")

@@ -10,7 +10,7 @@ import numpy as np
 from casid.diagnosis.advice.isolability import Isolability, Pair, separation_energy
 from casid.diagnosis.advice.next_experiment import Proposal
 from casid.diagnosis.advice.undetectable import Undetectable
-from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.residual_tests import DETERMINISTIC, Band, ResidualTests
 from casid.diagnosis.unexplained.description import Occurrence, Unexplained

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.calibration.calibration import Calibration
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, BEFORE, MEASURED, visible_text
 

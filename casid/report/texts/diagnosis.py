@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from casid.diagnosis.advice.isolability import Isolability
 from casid.diagnosis.advice.next_experiment import Advice, Proposal
-from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.diagnosis.facts import Facts
 from casid.diagnosis.verdict.cause import NOT_ACCEPTED

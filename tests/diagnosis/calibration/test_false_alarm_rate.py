@@ -20,8 +20,10 @@ from scipy.stats import beta, chi2, kstest
 
 import casid
 from casid.data.arguments import experiments_of
-from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, calibrate, require_runs
+from casid.diagnosis.calibration.calibration import Calibration
+from casid.diagnosis.calibration.false_alarm_rate import calibrate, require_runs
 from casid.diagnosis.calibration.null_records import null_records
+from casid.diagnosis.calibration.null_runs import Null
 from casid.diagnosis.diagnose import diagnose
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.errors import DataError, SolveError

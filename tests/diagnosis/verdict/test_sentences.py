@@ -11,7 +11,7 @@ import pytest
 
 import casid
 from casid.diagnosis.advice.recommendation import advice
-from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Doubts
 from casid.diagnosis.verdict.gain import changes, improves
