@@ -14,8 +14,10 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
+from casid.diagnosis.evidence.force_functions import TIME, Group, Table
+from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.signatures import TIME, Group, Linearised, Regression, Table
+from casid.diagnosis.evidence.signatures import Regression
 from casid.diagnosis.thresholds import RESIDUAL
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.signatures import Linearised
 from casid.diagnosis.thresholds import COGGING
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.cogging_effects import cogging

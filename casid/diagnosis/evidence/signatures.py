@@ -1,31 +1,26 @@
 """Signatures: what the simulation would do differently, were a signal added in one place.
 
-A place is a balance, where the signal is a force and acts through the dynamics linearised along the
-fitted trajectory,
-
-    dx[k+1] = A_k dx[k] + B0_k f[k] + B1_k f[k+1],   dy[k] = C_k dx[k] + D_k f[k]            (1)
-
-or an output, where it is added to what the sensor says. Signals are functions of what is known:
-states, inputs, recorded channels, time. Regressing the whitened residual on their signatures, off
-the baseline's own tangent and less what the inputs' noise gives to signature and residual alike
-((1) in `scores`), shows on what the missing part depends.
+A place is a balance, where the signal is a force and acts along the linearised path ((1) of
+`linearised_path`), or an output, where it is added to what the sensor says. Signals are functions
+of what is known (`force_functions`). Regressing the whitened residual on their signatures, off the
+baseline's own tangent and less what the inputs' noise gives to signature and residual alike ((1) in
+`scores`), shows on what the missing part depends.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.linalg.lapack import dtbtrs
 from scipy.stats import f as fisher
 
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
+from casid.diagnosis.evidence.force_functions import Group, variables_of
+from casid.diagnosis.evidence.linearised_path import Linearised, Motion
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
@@ -35,184 +30,7 @@ from casid.estimation.feedback import (
     slope,
 )
 from casid.estimation.noise import NoiseModel
-from casid.estimation.simulation.first_order_lags import lag_columns
-from casid.estimation.simulation.sensor_dynamics import delay_columns
-from casid.estimation.simulation.signals import Signals
-from casid.estimation.simulation.simulation_error import Simulated, SimulationError
-from casid.estimation.simulation.simulator import rk4_sample
-from casid.model.declarations import Input
-from casid.model.model import Model
-
-Table = Mapping[str, Array]  # variable -> (N,) of one record
-
-TIME = "time"
-"""Name of the variable that runs on from record to record."""
-
-
-# -- the linearised simulation --------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Path:
-    """Equation (1) along one record, for all balances of the model in order."""
-
-    A: Array  # (N, nx, nx)
-    B0: Array  # (N, nx, nb)
-    B1: Array  # (N, nx, nb)
-    C: Array  # (N, ny, nx)
-    D: Array  # (N, ny, nb)
-    inputs: Array  # (N, nx, nu): B0 + B1 of the model's own inputs
-    feedthrough: Array  # (N, ny, nu)
-    anew: Array = field(default_factory=lambda: np.zeros(0, dtype=int))  # states of their own
-
-    def respond(self, balance: int, force: Array) -> Array:
-        """Outputs (N, ny, m) to m forces (N, m) in one balance."""
-        n, m = force.shape
-        nx = self.A.shape[1]
-        ahead = np.vstack([force[1:], force[-1:]])
-        states = np.zeros((m, n, nx))  # each column's in one piece, as the solver takes them
-        push = states[:, 1:].transpose(1, 2, 0)
-        push += self.B0[:-1, :, balance, None] * force[:-1, None, :]
-        push += self.B1[:-1, :, balance, None] * ahead[:-1, None, :]
-        # x[k+1] - A[k] x[k] = push[k]: a triangular band.
-        bands = np.zeros((2 * nx, n, nx))
-        for i in range(nx):
-            for j in range(nx):
-                bands[nx + i - j, :-1, j] = -self.A[:-1, i, j]
-        if nx:
-            columns = states.reshape(m, -1).T
-            columns, _ = dtbtrs(bands.reshape(2 * nx, -1), columns, uplo="L", diag="U")
-            states = columns.T.reshape(m, n, nx)
-        out = np.einsum("kij,mkj->kim", self.C, states)
-        return np.asarray(out + self.D[:, :, balance, None] * force[:, None, :])
-
-
-@dataclass(eq=False)
-class Motion:
-    """One record simulated, as it was recorded or with a draw of noise on its inputs."""
-
-    linearised: Linearised
-    experiment: int
-    signals: Signals
-    at: Simulated
-
-    @functools.cached_property
-    def path(self) -> Path:
-        """The derivatives along it."""
-        states = self.at.x[: self.signals.N]
-        return self.linearised.path(self.experiment, states, self.signals)
-
-
-class Linearised:
-    """The simulation of a fitted model, linearised along its own trajectories.
-
-    What it was simulated for is kept: the regressions of all places and noise models share it.
-    """
-
-    def __init__(self, criterion: SimulationError, x: Array) -> None:
-        self.criterion, self.x = criterion, x
-        self._functions: dict[float, Any] = {}
-        self._motions: dict[tuple[bytes, int], list[list[Motion]]] = {}
-        self._late: dict[int, Array] = {}
-
-    def motions(self, sd: Array, seed: int) -> list[list[Motion]]:
-        """Every record as it is and, where inputs are noisy, with a draw added and taken away.
-
-        `sd` (nu,) is the white noise of the inputs.
-        """
-        key = sd.tobytes(), seed
-        if key not in self._motions:
-            rng, criterion, x = np.random.default_rng(seed), self.criterion, self.x
-            made = []
-            for k, d in enumerate(criterion.data):
-                own = [Motion(self, k, d, criterion.simulated(x, k))]
-                if np.any(sd > 0):
-                    w = sd * rng.standard_normal((d.N, len(sd)))
-                    for sign in (1.0, -1.0):
-                        noisy = replace(d, u=d.u + sign * w)
-                        run = criterion.simulated(x, k, signals=noisy)
-                        own.append(Motion(self, k, noisy, run))
-                made.append(own)
-            self._motions[key] = made
-        return self._motions[key]
-
-    def late_inputs(self, k: int) -> Array:
-        """What measured inputs `SCORES.between_samples` late take from a residual, (N, ny, ...)."""
-        if k not in self._late:
-            criterion, d = self.criterion, self.criterion.data[k]
-            late = SCORES.between_samples * np.gradient(d.u, axis=0)
-            columns = [np.zeros((d.N, len(criterion.outputs), 0))]
-            for i, entry in enumerate(criterion.model.inputs.values()):
-                if entry.kind == "measured" and entry.hold == "foh":
-                    moved = np.zeros_like(d.u)
-                    moved[:, i] = late[:, i]
-                    up, down = (
-                        criterion.simulate(self.x, k, signals=replace(d, u=d.u + s * moved))[0]
-                        for s in (1.0, -1.0)
-                    )
-                    columns.append(np.where(d.used, 0.5 * (down - up), 0.0)[:, :, None])
-            self._late[k] = np.concatenate(columns, axis=2)
-        return self._late[k]
-
-    def path(self, experiment: int, states: Array, signals: Signals) -> Path:
-        """The derivatives of one sample's step and of the outputs at `states` (N, nx)."""
-        criterion = self.criterion
-        if signals.Ts not in self._functions:
-            self._functions[signals.Ts] = self._derivatives(signals.Ts)
-        function = self._functions[signals.Ts]
-        p, _ = criterion.parameter_vector(self.x, experiment)
-        n, nb = signals.N, len(criterion.model.balances)
-        u = np.hstack([signals.u, np.zeros((n, nb))])
-        ahead = np.vstack([u[1:], u[-1:]])
-        found = function.map(n)(states.T, u.T, ahead.T, np.tile(p[:, None], (1, n)))
-        a, b0, b1, c, d = (np.array(m).reshape(m.shape[0], n, -1).transpose(1, 0, 2) for m in found)
-        own = u.shape[1] - nb
-        anew = criterion.starts_anew(experiment)
-        for step in (a, b0, b1):
-            step[anew - 1] = 0.0  # into a state that no earlier one determines
-        return Path(
-            a,
-            b0[:, :, own:],
-            b1[:, :, own:],
-            c,
-            d[:, :, own:],
-            (b0 + b1)[:, :, :own],
-            d[:, :, :own],
-            anew,
-        )
-
-    def _derivatives(self, Ts: float) -> Any:
-        disturbed = self.criterion.model.copy()
-        disturbed.stages = ()
-        own = list(disturbed.inputs)
-        for name, balance in self.criterion.model.balances.items():
-            w = disturbed.add_input(Input(f"force in {name}", balance.unit, "unknown"))
-            disturbed.add_term(name, w)
-        e = disturbed.explicit()
-        assert list(e.inputs[: len(own)]) == own
-        ahead = ca.SX.sym("ahead", len(e.inputs))
-        step = rk4_sample(disturbed, e, ahead, Ts, self.criterion.substeps)
-        pairs = ((step, e.x), (step, e.u), (step, ahead), (e.h, e.x), (e.h, e.u))
-        return ca.Function(
-            "along", [e.x, e.u, ahead, e.p], [ca.densify(ca.jacobian(a, b)) for a, b in pairs]
-        )
-
-    def through_sensors(self, response: Array, y: Array, experiment: int) -> Array:
-        """Apply what the model's sensors do to a response (N, ny, m), in place."""
-        model, d = self.criterion.model, self.criterion.data[experiment]
-        p, _ = self.criterion.parameter_vector(self.x, experiment)
-        names = model.explicit().parameters
-        for stage in model.stages:
-            if stage.is_of_input:
-                continue
-            i, value = self.criterion.outputs.index(stage.channel), p[names.index(stage.parameter)]
-            if stage.kind == "delay":
-                response[:, i] = delay_columns(response[:, i], float(value) / d.Ts)
-            elif stage.kind == "lag":
-                response[:, i] = lag_columns(response[:, i], float(value) / d.Ts)[0]
-            else:
-                response[np.abs(y[:, i]) >= FUNCTIONS.at_limit * value, i] = 0.0
-        return response
+from casid.estimation.simulation.simulation_error import SimulationError
 
 
 def require_place(criterion: SimulationError, place: str) -> None:
@@ -229,98 +47,6 @@ def require_place(criterion: SimulationError, place: str) -> None:
             f"{model.name}: {place!r} is neither a balance nor an output; choose one of "
             f"{', '.join([*model.balances, *criterion.outputs])}"
         )
-
-
-# -- variables and their functions ----------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Group:
-    """Some functions of one variable, or of a variable times functions of another."""
-
-    names: tuple[str, ...]  # (), (variable,) or (carrier, what its coefficient depends on)
-    columns: Callable[[Table], Array]  # table of one record -> (N, m)
-
-
-def variables_of(
-    criterion: SimulationError,
-    experiments: Sequence[Experiment],
-    recorded: Mapping[str, str],
-    experiment: int,
-    at: Simulated,
-    signals: Signals,
-) -> dict[str, Array]:
-    """What a missing force may depend on, of one record: name -> (N,)."""
-    model = criterion.model
-    out = {name: at.x[: signals.N, i] for i, name in enumerate(model.states)}
-    for i, name in enumerate(model.inputs):
-        if not name.startswith("slope of "):
-            out[name] = signals.u[:, i]
-            # In closed loop the next command is made of the noise of the next sample.
-            is_held = "zoh" in model.inputs[name].holds
-            out[f"slope of {name}"] = slope(signals.u[:, i], signals.Ts, backward=is_held)
-    for name in recorded:
-        out.setdefault(name, np.asarray(experiments[experiment].record[name]))
-    before = sum(d.N * d.Ts for d in criterion.data[:experiment])
-    out[TIME] = before + signals.Ts * np.arange(signals.N)
-    return out
-
-
-def units_of(model: Model, recorded: Mapping[str, str]) -> dict[str, str]:
-    """Units of the variables of `variables_of`, and of outputs and their slopes."""
-    out = {name: state.unit for name, state in model.states.items()}
-    out |= {name: entry.unit for name, entry in model.inputs.items()}
-    out |= {name: unit for name, unit in recorded.items() if name not in out}
-    out |= {name: unit for name, (_, unit) in model.outputs.items()}
-    out |= {f"slope of {name}": f"({unit})/s" for name, unit in list(out.items())}
-    out[TIME] = "s"
-    return out
-
-
-def has_both_signs(values: Array) -> bool:
-    """True where a variable spends time on both sides of zero: oddness then means something."""
-    low, high = np.quantile(values, [FUNCTIONS.tail, 1.0 - FUNCTIONS.tail])
-    return bool(min(-low, high) > FUNCTIONS.both_signs * max(-low, high))
-
-
-def knots_of(name: str, values: Array, count: int) -> Array:
-    """Where piecewise linear functions of a variable bend; symmetric where it has both signs."""
-    if name == TIME:
-        return np.linspace(values.min(), values.max(), 2 * count + 1)
-    if has_both_signs(values):
-        size = np.abs(values)
-        levels = np.append(
-            np.linspace(*FUNCTIONS.levels, count), 1.0
-        )  # the ends determine the growth best
-        half = np.unique(np.quantile(size, levels))
-        half = half[half > 0.0]  # one that rests at zero for long has quantiles there
-        return np.concatenate([-half[::-1], [0.0], half])
-    return np.asarray(np.unique(np.quantile(values, np.linspace(*FUNCTIONS.ends, count + 2))))
-
-
-def hats(values: Array, knots: Array) -> Array:
-    """Piecewise linear functions, one at each knot and zero at the others, (N, K).
-
-    Beyond the ends they go on: a line is in their span, so that what a parameter absorbs is seen
-    to be absorbed.
-    """
-    i = np.clip(np.searchsorted(knots, values, "right") - 1, 0, len(knots) - 2)
-    share = (values - knots[i]) / (knots[i + 1] - knots[i])
-    out = np.zeros((len(values), len(knots)))
-    rows = np.arange(len(values))
-    out[rows, i] = 1.0 - share
-    out[rows, i + 1] = share
-    return out
-
-
-def splines(values: Array, knots: Array) -> Array:
-    """Cubic splines, one at each knot and zero at the others, (N, K); cubics are in their span."""
-    if len(knots) < FUNCTIONS.fewest_knots:
-        return hats(values, knots)
-    return np.asarray(CubicSpline(knots, np.eye(len(knots)))(values))
-
-
-# -- the regression -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,9 +17,10 @@ from scipy.stats import spearmanr
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
+from casid.diagnosis.evidence.force_functions import TIME, variables_of
+from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
-from casid.diagnosis.evidence.signatures import TIME, Linearised, variables_of
 from casid.diagnosis.thresholds import DESCRIPTION
 from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force, quiet_fit
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force

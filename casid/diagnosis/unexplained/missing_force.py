@@ -19,22 +19,20 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
-from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.signatures import (
+from casid.diagnosis.evidence.force_functions import (
     TIME,
     Group,
-    Linearised,
-    Regression,
     Table,
-    Tested,
     has_both_signs,
     hats,
     knots_of,
-    require_place,
     splines,
     units_of,
     variables_of,
 )
+from casid.diagnosis.evidence.linearised_path import Linearised
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.signatures import Regression, Tested, require_place
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES, TERMS
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
 from casid.estimation.noise import NoiseModel

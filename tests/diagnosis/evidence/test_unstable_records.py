@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.score_tests import score_test
-from casid.diagnosis.evidence.signatures import Linearised
 from casid.diagnosis.evidence.unstable_records import in_windows
 from casid.estimation.holdout import restarts, split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
