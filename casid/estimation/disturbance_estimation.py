@@ -65,6 +65,7 @@ def with_disturbance_spectra(
     *,
     residuals: Sequence[Array] | None = None,
     is_simple: bool = False,
+    near: Mapping[str, DisturbanceSpectrum] | None = None,
 ) -> NoiseModel:
     """The noise of the residual at `x` with forces that are not white where it shows such.
 
@@ -75,6 +76,7 @@ def with_disturbance_spectra(
     noise : as estimated with white sources alone.
     known, residuals : as for `estimate_noise`.
     is_simple : no force has a spectrum with a peak.
+    near : spectra found at a point close by; they are adjusted, and no other is sought.
     """
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
@@ -87,6 +89,7 @@ def with_disturbance_spectra(
         known=known,
         moved=_sensitivities(criterion, x),
         simple=is_simple,
+        near=near or {},
     )
     found = searched(residuals, used)
     has_holes = [unbroken(u) is None for u in used]
@@ -127,6 +130,7 @@ def _searched(
     known: Mapping[str, float],
     moved: Sequence[Array],
     simple: bool,
+    near: Mapping[str, DisturbanceSpectrum],
 ) -> NoiseModel:
     """The noise with the spectra of forces that residuals (N, ny) have in the samples `used`.
 
@@ -134,6 +138,7 @@ def _searched(
     ----------
     moved : (N, ny, n) an experiment, what parameters that were fitted change of them.
     simple : no spectrum has a peak.
+    near : spectra to be adjusted, where no other is sought.
     """
     # Without a taper the ends of a slow and large motion leak over the noise of the sensors.
     residuals = [_tapered(r) for r in residuals]
@@ -153,6 +158,10 @@ def _searched(
     )
     chosen: dict[str, DisturbanceSpectrum] = {}
     best = search.fitted(chosen)
+    if near:
+        adjusted = search.adjusted(near)
+        least, value = search.fitted(adjusted)
+        return search.noise_of(adjusted, value) if least < best[0] else noise
     while True:
         tried = [search.best_beside(chosen, name) for name in places_of_forces(criterion.model)]
         more = [t for t in tried if t is not None and search.is_seen(*t[1:])]
@@ -193,34 +202,52 @@ class _Search:
         self, found: Mapping[str, DisturbanceSpectrum], name: str
     ) -> tuple[float, Array, dict[str, DisturbanceSpectrum]] | None:
         """The best spectrum of one more force: of a grid, and then beside it."""
-        if name in found or not self._is_felt(name):
+        low, high = self._range(is_peak=True)
+        if name in found or not self._is_felt(name) or low >= high:
             return None
-        once = min(2 * np.pi / (n * Ts) for n, Ts in self.records)
-        high = 0.5 * np.pi / min(Ts for _, Ts in self.records)
-        if LOWEST * once >= high:
-            return None
-
-        def range_of(shape: DisturbanceSpectrum) -> tuple[float, float]:
-            return once * (LOWEST_CORNER if shape.damping is None else LOWEST), high
-
         shapes = [(None, False), *((zeta, band) for zeta in self.widths for band in (False, True))]
         grid = [
             DisturbanceSpectrum(float(w), zeta, band)
             for zeta, band in shapes
-            for w in np.geomspace(*range_of(DisturbanceSpectrum(high, zeta, band)), CORNERS)
+            for w in np.geomspace(*self._range(is_peak=zeta is not None), CORNERS)
         ]
-        best, least = self._best_of(grid, found, name)
+        chosen = {**found, name: self._finer(*self._best_of(grid, found, name), found, name)}
+        return (*self.fitted(chosen), chosen)
+
+    def adjusted(self, near: Mapping[str, DisturbanceSpectrum]) -> dict[str, DisturbanceSpectrum]:
+        """The best spectra beside those given, one force after another."""
+        found = dict(near)
+        for name, spectrum in near.items():
+            others = {n: s for n, s in found.items() if n != name}
+            start = self._best_of([spectrum], others, name)
+            found[name] = self._finer(*start, others, name)
+        return found
+
+    def _range(self, *, is_peak: bool) -> tuple[float, float]:
+        """Lowest and highest frequency [rad/s] of a spectrum that the records can show."""
+        once = min(2 * np.pi / (n * Ts) for n, Ts in self.records)
+        high = 0.5 * np.pi / min(Ts for _, Ts in self.records)
+        return once * (LOWEST if is_peak else LOWEST_CORNER), high
+
+    def _finer(
+        self,
+        best: DisturbanceSpectrum,
+        least: float,
+        found: Mapping[str, DisturbanceSpectrum],
+        name: str,
+    ) -> DisturbanceSpectrum:
+        """The best beside a spectrum whose price is `least`, of a force beside those found."""
+        limits = self._range(is_peak=best.damping is not None)
         for step in FINER:
             for _ in range(MOVES):
-                around = _beside(best, step, range_of(best))
+                around = _beside(best, step, limits)
                 near, value = self._best_of(around, found, name)
                 if not value < least:
                     break
                 best, least = near, value
                 if _is_between(best, around[0], around[-1]):
                     break
-        chosen = {**found, name: best}
-        return (*self.fitted(chosen), chosen)
+        return best
 
     def _best_of(
         self,

@@ -233,32 +233,46 @@ class Screen:
     def _gain_beside(self, bare: Weighted, effects: Sequence[int], tests: int) -> float:
         """The most that the log-likelihood gains where one effect explains a part of the residual.
 
-        Effects that gain little at first are not followed up.
+        Effects that gain little at first, by a disturbance that is only adjusted, are not followed
+        up.
         """
+        at, x = bare.criterion, bare.fit.x
+        plain = at.of_records(at.experiments, weights=at.weights, start=bare.fit.values)
+        raw = self._columns(plain, x)
+        residual, columns, psi = raw.of_record(raw.wide.start, 0)
+
+        def likelihood(effect: int | None, rounds: int) -> float:
+            added = [] if effect is None else [raw.judged[effect]]
+            return self._likelihood_beside(
+                bare, residual, np.hstack([columns, psi[:, added]]), rounds
+            )
 
         def gains(of: Sequence[int], rounds: int) -> list[float]:
-            nothing = self._likelihood_beside(bare, None, rounds)
-            return [nothing - self._likelihood_beside(bare, i, rounds) for i in of]
+            nothing = likelihood(None, rounds)
+            return [nothing - likelihood(i, rounds) for i in of]
 
         first = gains(effects, 1)
         passing = 0.5 * float(chdtri(1, SCREENING.share * self.level / (2 * max(tests, 1))))
         near = [i for i, g in zip(effects, first, strict=True) if g > SCREENING.followed * passing]
         return max([0.0, *first, *(gains(near, 2) if near else [])])
 
-    def _likelihood_beside(self, bare: Weighted, effect: int | None, rounds: int) -> float:
+    def _likelihood_beside(
+        self, bare: Weighted, residual: Array, columns: Array, rounds: int
+    ) -> float:
         """Minus the log-likelihood where an effect explains a part of the residual.
 
         The disturbance is sought anew in what the effect leaves; the effect, with the parameters,
-        first under the disturbance of the model without it, then under that.
+        first under the disturbance of the model without it, then under that. Of a single round the
+        disturbance is the model's, adjusted.
+
+        Parameters
+        ----------
+        residual, columns : (M,) and (M, n) weighted, of the parameters and of the effect if any.
         """
         at, x, noise = bare.criterion, bare.fit.x, bare.noise
         least = minus_log_likelihood(bare)
-        plain = at.of_records(at.experiments, weights=at.weights, start=bare.fit.values)
-        raw = self._columns(plain, x)
-        residual, columns, psi = raw.of_record(raw.wide.start, 0)
-        if effect is not None:
-            columns = np.hstack([columns, psi[:, [raw.judged[effect]]]])
         shape = (at.data[0].N, len(at.weights))
+        near = noise.spectra if rounds == 1 else None
         for _ in range(rounds):
             stack = np.column_stack([residual, columns]).reshape(*shape, -1)
             white = noise.whiten(stack, 0).reshape(len(residual), -1)
@@ -269,7 +283,9 @@ class Screen:
             moved = np.clip(x + step[: len(x)], lower, upper)
             of = [left / at.weights]
             noise = estimate_noise(at, moved, known=self.problem.noise, residuals=of)
-            noise = with_disturbance_spectra(noise, at, moved, self.problem.noise, residuals=of)
+            noise = with_disturbance_spectra(
+                noise, at, moved, self.problem.noise, residuals=of, near=near
+            )
             noise = with_varying_response(noise, at, moved, residuals=of)
             misfit = 0.5 * float(np.sum(noise.whiten(left[:, :, None], 0) ** 2))
             least = min(least, misfit + 0.5 * noise.log_determinant(0, shape[0]))

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import casid
-from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.disturbance_estimation import FINER, with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import estimate_noise
 from casid.estimation.noise_response import places_of_forces
@@ -249,3 +249,24 @@ def test_a_simple_spectrum_has_no_peak():
     """Where the likelihood of this short record prefers one by chance."""
     assert motor_under(1).spectra["speed"].damping is not None
     assert motor_under(1, is_simple=True).spectra["speed"].damping is None
+
+
+@pytest.mark.parametrize("near", [DisturbanceSpectrum(0.5), DisturbanceSpectrum(1.4)])
+def test_a_spectrum_close_by_is_adjusted_to_the_one_that_a_whole_search_finds(near):
+    rng = np.random.default_rng(1)
+    a = np.exp(-0.8 * TS)
+    force = lfilter([1.0], [1.0, -a], 0.05 * np.sqrt(1 - a * a) * rng.standard_normal(N))
+    fit, white, whole = noise_under(force, rng)
+    adjusted = with_disturbance_spectra(white, fit.criterion, fit.x, near={"force": near})
+    assert adjusted.spectra["force"].frequency == pytest.approx(
+        whole.spectra["force"].frequency, rel=FINER[-1]
+    )
+    assert adjusted.source_sd["force"] == pytest.approx(whole.source_sd["force"], rel=FINER[-1])
+
+
+def test_a_spectrum_close_by_is_dropped_where_white_noise_is_as_likely():
+    rng = np.random.default_rng(2)
+    fit, white, whole = noise_under(np.zeros(N), rng)
+    near = {"force": DisturbanceSpectrum(0.8)}
+    assert not whole.spectra
+    assert not with_disturbance_spectra(white, fit.criterion, fit.x, near=near).spectra

@@ -18,6 +18,7 @@ from casid.diagnosis.thresholds import PREWHITENING, REFITS
 from casid.errors import CasidError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import likeliest
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.left_by_noise import share_that_is_there
 from casid.estimation.nlp.solver import Solver
@@ -211,9 +212,11 @@ class Weighing:
     def _in_turn(self, model: Model, at: Weighted) -> Weighted:
         """The likeliest parameters, and the noise there, in turn until neither moves."""
         best = self._whitened(model, at)
+        near: Mapping[str, DisturbanceSpectrum] = {}
         for _ in range(PREWHITENING.rounds):
             x = likeliest(at.criterion, at.fit.x, at.full, self.known_noise)
-            at = self.estimated(_moved(at.fit, at.criterion, x))
+            at = self.estimated(_moved(at.fit, at.criterion, x), near=near)
+            near = at.full.spectra
             found = self._whitened(model, at)
             if not _at_point(found) < _at_point(best) - PREWHITENING.likelier:
                 break
@@ -269,14 +272,20 @@ class Weighing:
                 return None
         return None
 
-    def estimated(self, fit: Fit, *, is_simple: bool = False) -> Weighted:
+    def estimated(
+        self,
+        fit: Fit,
+        *,
+        is_simple: bool = False,
+        near: Mapping[str, DisturbanceSpectrum] | None = None,
+    ) -> Weighted:
         """A fit with the noise that its residual shows.
 
         Parameters
         ----------
-        is_simple : no force has a spectrum with a peak.
+        is_simple, near : as for `with_disturbance_spectra`.
         """
-        full = self.noise(fit, is_simple=is_simple)
+        full = self.noise(fit, is_simple=is_simple, near=near)
         input_sd = self.input_sd(full, fit.criterion)
         share = share_that_is_there(fit, full, input_sd, self.seed)
         input_sd = {name: share * sd for name, sd in input_sd.items()}
@@ -286,13 +295,19 @@ class Weighing:
         noise_absorbs_misfit = ratio > limit and not self.takes_disturbances
         return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
 
-    def noise(self, fit: Fit, *, is_simple: bool = False) -> NoiseModel:
-        """The noise that the residual of a fit shows; `is_simple` as in `estimated`."""
+    def noise(
+        self,
+        fit: Fit,
+        *,
+        is_simple: bool = False,
+        near: Mapping[str, DisturbanceSpectrum] | None = None,
+    ) -> NoiseModel:
+        """The noise that the residual of a fit shows; parameters as of `estimated`."""
         found = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
         if not self.takes_disturbances:
             return found
         c, x, known = fit.criterion, fit.x, self.known_noise
-        found = with_disturbance_spectra(found, c, x, known, is_simple=is_simple)
+        found = with_disturbance_spectra(found, c, x, known, is_simple=is_simple, near=near)
         return with_varying_response(found, c, x)
 
     def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
