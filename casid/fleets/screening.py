@@ -253,8 +253,8 @@ class Screen:
 
         first = gains(effects, 1)
         passing = 0.5 * float(chdtri(1, SCREENING.share * self.level / (2 * max(tests, 1))))
-        near = [i for i, g in zip(effects, first, strict=True) if g > SCREENING.followed * passing]
-        return max([0.0, *first, *(gains(near, 2) if near else [])])
+        more = [i for i, g in zip(effects, first, strict=True) if g > SCREENING.followed * passing]
+        return max([0.0, *first, *(gains(more, 2) if more else [])])
 
     def _likelihood_beside(
         self, bare: Weighted, residual: Array, columns: Array, rounds: int
