@@ -21,6 +21,15 @@ def test_the_error_of_a_rounded_reading_is_uniform_within_a_step():
     assert np.std(rounded - SLOW) == pytest.approx(rounding_of(rounded), rel=0.1)
 
 
+def turned(rate: float) -> np.ndarray:
+    """A rudder that its gear turns at a constant rate, in each sample, from one angle to another."""
+    wanted = np.repeat(RNG.choice([-20.0, -15.0, -10.0, 10.0, 15.0, 20.0], len(T) // 40), 40)
+    rudder = np.zeros(len(T))
+    for k in range(1, len(T)):
+        rudder[k] = rudder[k - 1] + np.clip(wanted[k] - rudder[k - 1], -rate, rate)
+    return rudder
+
+
 @pytest.mark.parametrize(
     "values",
     [
@@ -28,9 +37,11 @@ def test_the_error_of_a_rounded_reading_is_uniform_within_a_step():
         STEP * np.round((SLOW + 0.2 * RNG.standard_normal(len(T))) / STEP),  # noisier than a step
         np.repeat(RNG.choice([-1.0, 0.0, 1.0], len(T) // 20), 20),  # a command of three levels
         np.repeat(RNG.integers(0, 40, len(T) // 20) * STEP, 20),  # one of forty, that jumps
+        turned(2.5),  # from level to level by equal steps
+        turned(5.0) + 1e-15 * RNG.standard_normal(len(T)),  # nine levels, as a computer adds them up
         np.zeros(len(T)),
     ],
-    ids=["not rounded", "noisy", "three levels", "jumps", "constant"],
+    ids=["not rounded", "noisy", "three levels", "jumps", "a rate", "nine levels", "constant"],
 )
 def test_commands_and_noisy_channels_have_none(values):
     assert rounding_of(values) == 0.0

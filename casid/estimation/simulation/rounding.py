@@ -17,14 +17,18 @@ from casid.estimation.simulation.thresholds import READINGS
 def rounding_of(values: Array) -> float:
     """Standard deviation of the rounding of a channel (N,), 0 where it is not rounded so.
 
-    A command has levels of its own and no error: it goes from one to another by many steps at once.
+    A command has levels of its own and no error: it goes from one to another by many steps at once,
+    or at a rate of its own (a rudder that its gear turns), one equal step after the other.
     """
-    moves = np.abs(np.diff(values))
-    moved = moves[moves > 0.0]
-    if len(moved) >= (1 - READINGS.repeated) * len(moves):
-        return 0.0
     step = quantisation_step(values)
-    if step is None or len(np.unique(values)) < READINGS.levels:
+    if step is None or np.mean(np.diff(values) != 0.0) >= 1 - READINGS.repeated:
         return 0.0
-    is_single = np.round(moved / step) == 1
-    return step / float(np.sqrt(12.0)) if is_single.mean() >= READINGS.single else 0.0
+    counts = np.round((values - values.min()) / step)
+    if len(np.unique(counts)) < READINGS.levels:
+        return 0.0
+    moves = np.diff(counts)
+    is_alone = np.abs(moves) == 1
+    is_alone[1:] &= moves[1:] != moves[:-1]
+    is_alone[:-1] &= moves[:-1] != moves[1:]
+    share = is_alone.sum() / max(np.count_nonzero(moves), 1)
+    return step / float(np.sqrt(12.0)) if share >= READINGS.single else 0.0
