@@ -148,6 +148,9 @@ class Refitting:
         found = self.judged(at, effect, names, model, fit)
         if not (np.isfinite(found.gain) and np.isfinite(found.wald)):
             raise SolveError("its gain is not finite")
+        if found.gain > 0 and fit.solution.value > (1 + REFITS.enough) * at.fit.solution.value:
+            # The model without the effect is one of its own: it gains by what noise would leave.
+            raise SolveError("its fit ended farther from the records than the model without it")
         return found
 
     def again(self, at: Weighted, found: Candidate, *, near: bool = True) -> Candidate | None:

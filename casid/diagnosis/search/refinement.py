@@ -44,7 +44,7 @@ from casid.diagnosis.search.simulation_errors import (
     simulation_errors,
     why_held_out,
 )
-from casid.diagnosis.search.swinging_parts import in_motion, is_swinging_from_rest
+from casid.diagnosis.search.swinging_parts import in_motion, may_move
 from casid.diagnosis.thresholds import FRICTION, JUDGING, ROUNDS
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -177,7 +177,7 @@ class Refinement:
         they are missing.
         """
         last, fit = found.adopted[-1], found.fit
-        if fit is None or not is_swinging_from_rest(last.candidate.effect):
+        if fit is None or not may_move(last.candidate):
             return found
         what = name_of(last.candidate.effect)
         self.search.progress(f"estimate how {what} moves when the record begins")

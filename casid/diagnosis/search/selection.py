@@ -28,7 +28,7 @@ from casid.diagnosis.search.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
-from casid.diagnosis.search.swinging_parts import is_swinging_from_rest
+from casid.diagnosis.search.swinging_parts import may_move
 from casid.diagnosis.thresholds import COMPARISON, FRICTION, ROUNDS
 from casid.estimation.holdout import Split, why_worse
 from casid.estimation.local_rank import rank_of
@@ -285,7 +285,7 @@ class _Selection:
 
     def set_in_motion(self, refine: Refinement) -> None:
         """Let a part that was adopted last move when a record begins."""
-        if is_swinging_from_rest(self.adopted[-1].candidate.effect):
+        if may_move(self.adopted[-1].candidate):
             what = "the motion of a further part when the record begins"
             self._take(self.search.attempts.attempt(what, partial(refine.in_motion, self.found)))
 

@@ -19,6 +19,11 @@ def is_swinging_from_rest(effect: Effect) -> bool:
     return effect.kind == "missing_mode" and effect.cost == MISSING_MODES.cost
 
 
+def may_move(found: Candidate) -> bool:
+    """True of a part, found at rest, that has a motion: without a mass it has no frequency."""
+    return is_swinging_from_rest(found.effect) and found.names[1] in found.fit.values
+
+
 def in_motion(model: Model, found: Candidate) -> Effect:
     """The same part, its motion when a record begins free, from the frequency that was found."""
     omega = found.fit.values[found.names[1]]
@@ -38,7 +43,7 @@ def beside_lines(
         return list(found)
     out = []
     for c in found:
-        if is_swinging_from_rest(c.effect) and c.names[1] in c.fit.values:
+        if may_move(c):
             progress(f"let {name_of(c.effect)} move when the record begins")
             values = found_values(c)
             free = in_motion(at.model, c)

@@ -134,3 +134,16 @@ def test_candidates_are_refitted_to_where_nothing_is_left_to_decide() -> None:
         gains.append(found.gain)
     room = 2 * 2 * REFITS.enough * at.fit.solution.value
     assert gains[1] == pytest.approx(gains[0], abs=room)
+
+
+def test_a_refit_that_ends_above_the_model_without_its_effect_is_none() -> None:
+    """The push counts as noisy: less what noise leaves of a diverging simulation, it would gain."""
+    refitting, at = pushed_sledge(solver=replace(NEAR, max_iterations=1))
+    at = replace(at, input_sd={"F": 20.0})
+    slip = casid.balance_effect(
+        "slip", "force", lambda s: s.c * s.v**2, parameter="c", unit="N s^2/m^2"
+    )
+    near = refitting._from(at, slip, {"c": 0.0}, None, at.fit.values)
+    assert near.fit.solution.value <= at.fit.solution.value
+    with np.errstate(all="ignore"), pytest.raises(casid.SolveError, match="farther from the rec"):
+        refitting._from(at, slip, {"c": 0.2}, None, at.fit.values)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import casid
-from casid.diagnosis.search.swinging_parts import beside_lines, is_swinging_from_rest
+from casid.diagnosis.search.swinging_parts import beside_lines, is_swinging_from_rest, may_move
 from casid.model.effects.structure_effects import missing_mode
 
 
@@ -27,6 +27,7 @@ def test_a_part_found_without_a_mass_is_not_set_in_motion() -> None:
     massless: Any = SimpleNamespace(
         effect=part, names=names, fit=SimpleNamespace(values={"d": 0.1, names[0]: 0.0}), merit=1.0
     )
+    assert not may_move(massless)  # nor, once it is adopted, by its refinement
     line: Any = SimpleNamespace(effect=SimpleNamespace(kind="periodic_disturbance"), merit=2.0)
     line.effect.cost = 5.0
     said: list[str] = []
