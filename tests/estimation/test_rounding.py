@@ -22,7 +22,7 @@ def test_the_error_of_a_rounded_reading_is_uniform_within_a_step():
 
 
 def turned(rate: float) -> np.ndarray:
-    """A rudder that its gear turns at a constant rate, in each sample, from one angle to another."""
+    """A rudder that its gear turns from one angle to another, at a rate in each sample."""
     wanted = np.repeat(RNG.choice([-20.0, -15.0, -10.0, 10.0, 15.0, 20.0], len(T) // 40), 40)
     rudder = np.zeros(len(T))
     for k in range(1, len(T)):
@@ -38,7 +38,7 @@ def turned(rate: float) -> np.ndarray:
         np.repeat(RNG.choice([-1.0, 0.0, 1.0], len(T) // 20), 20),  # a command of three levels
         np.repeat(RNG.integers(0, 40, len(T) // 20) * STEP, 20),  # one of forty, that jumps
         turned(2.5),  # from level to level by equal steps
-        turned(5.0) + 1e-15 * RNG.standard_normal(len(T)),  # nine levels, as a computer adds them up
+        turned(5.0) + 1e-15 * RNG.standard_normal(len(T)),  # nine levels, added up
         np.zeros(len(T)),
     ],
     ids=["not rounded", "noisy", "three levels", "jumps", "a rate", "nine levels", "constant"],

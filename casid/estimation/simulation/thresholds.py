@@ -179,9 +179,9 @@ class Readings:
     levels: int = _is(10, "different readings, at least: a command has a few levels", _ROUNDING)
     single: float = _is(
         0.25,
-        "of its changes that are by a single step which no equal one precedes or follows, at least: "
-        "a command that jumps among ten levels at random has a fifth, one that moves there at a "
-        "constant rate hardly any",
+        "of its changes that are by a single step which no equal one precedes or follows, at "
+        "least: a command that jumps among ten levels at random has a fifth, one that moves there "
+        "at a constant rate hardly any",
         _ROUNDING,
     )
 
