@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -293,7 +294,31 @@ class Weighing:
         ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
         limit = max(PREWHITENING.absorbs_misfit**2, 1 + PREWHITENING.absorbs_spreads * spread)
         noise_absorbs_misfit = ratio > limit and not self.takes_disturbances
+        if noise_absorbs_misfit and (alone := self._without_forces(fit, full)) is not None:
+            input_sd = {
+                name: share * sd for name, sd in self.input_sd(alone, fit.criterion).items()
+            }
+            return Weighted(fit.criterion.model, fit, alone, alone, input_sd, False)
         return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
+
+    def _without_forces(self, fit: Fit, full: NoiseModel) -> NoiseModel | None:
+        """The noise of sensors and inputs alone, where the residual shows no more than that.
+
+        A force that an accelerometer feels at once is as white there as its sensor's own noise, and
+        takes a part of it by chance: each that was found has to be likelier by BIC.
+        """
+        c, known = fit.criterion, self.known_noise
+        forces = [n for n, sd in full.source_sd.items() if n not in c.model.inputs and sd > 0.0]
+        if not forces:
+            return None
+        alone = partial(estimate_noise, c, fit.x, responses=full.responses, has_disturbances=False)
+        floors = input_noise_floor(c.data, list(c.model.inputs))
+        found = alone(known=known)
+        over = {n: floor for n, floor in floors.items() if found.source_sd.get(n, 0.0) > floor}
+        if over:
+            found = alone(known={**over, **known})
+        price = 0.5 * len(forces) * float(np.log(c.n_samples))
+        return replace(found, known=full.known) if found.misfit - full.misfit < price else None
 
     def noise(
         self,

