@@ -873,6 +873,12 @@ class Description:
         "names of what may be one cause, in the verdict; all of them stand with the cause",
         f"{TESTS}/verdict/test_sentences.py",
     )
+    unit: float = _is(
+        0.02,
+        "of the ratio of two units, within which a sensor's gain is called that of a wrong unit: "
+        "what a sound sensor errs by",
+        f"{TESTS}/verdict/test_wrong_units.py",
+    )
 
 
 @dataclass(frozen=True, slots=True)

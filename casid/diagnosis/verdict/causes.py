@@ -21,6 +21,7 @@ from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, SCORES
 from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
+from casid.diagnosis.verdict.wrong_units import unit_mistaken
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
@@ -117,13 +118,18 @@ def _adopted(
     )
     by_record = {s.key: s.by_record for s in found.specific}
     column = columns.get(effect.where)
+    parameters = _parameters_of(adopted.candidate, estimate)
+    sentence = says(effect, column.column if column is not None else "")
+    if effect.kind == "sensor_scale" and not effect.constants.get("about"):
+        mistaken = unit_mistaken(parameters[0], _unit(found.search, effect.where))
+        sentence += f", {mistaken}" if mistaken else ""
     return Cause(
         kind=effect.kind,
         where=effect.where,
         p_value=adopted.p_value,
-        parameters=_parameters_of(adopted.candidate, estimate),
+        parameters=parameters,
         alternatives=(*alternatives, *_aliases(found.search, effect)),
-        sentence=says(effect, column.column if column is not None else ""),
+        sentence=sentence,
         description=effect.description,
         by_record=by_record.get(effect.key, {}),
     )

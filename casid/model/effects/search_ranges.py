@@ -245,8 +245,16 @@ class Ranges:
         _STRUCTURE,
     )
     sensor_lag: float = _is(2.0, "longest delays, the longest lag of a sensor", _CHANNELS)
-    lowest_scale: float = _is(-0.9, "lower bound of a sensor's scale error", _CHANNELS)
-    highest_scale: float = _is(3.0, "upper bound of a sensor's scale error", _CHANNELS)
+    lowest_scale: float = _is(
+        -0.9995,
+        "lower bound of a sensor's scale error: metres that were read as millimetres",
+        _CHANNELS,
+    )
+    highest_scale: float = _is(
+        1999.0,
+        "upper bound of a sensor's scale error: millimetres that were read as metres",
+        _CHANNELS,
+    )
     limits: tuple[float, ...] = _is(
         (0.96, 0.98, 0.995), "of the largest reading, where a clipping is searched", _CHANNELS
     )

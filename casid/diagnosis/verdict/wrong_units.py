@@ -1,0 +1,41 @@
+"""Gains of sensors that are those of a wrong unit: degrees that were read as radians."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+from casid.diagnosis.thresholds import DESCRIPTION
+from casid.estimation.estimate import Estimated
+from casid.model.units import difference_to_si
+
+_CONFUSED = (
+    ("rad", "deg", "rev"),
+    ("rad/s", "deg/s", "rpm"),
+    ("rad/s^2", "deg/s^2"),
+    ("m", "cm", "mm"),
+    ("m/s", "km/h", "kn", "mm/s"),
+    ("m/s^2", "g0"),
+    ("N", "kN", "kgf"),
+    ("Pa", "kPa", "bar"),
+    ("W", "kW"),
+    ("A", "mA"),
+    ("V", "mV"),
+)
+"""Units of one quantity that loggers use; the first is that of records."""
+
+
+def unit_mistaken(scale: Estimated, unit: str) -> str:
+    """Which unit was probably read as which other one, or an empty text.
+
+    Parameters
+    ----------
+    scale : s of a sensor that shows 1 + s times what it measures.
+    unit : SI unit of the channel.
+    """
+    gain = 1.0 + scale.value
+    names = next((names for names in _CONFUSED if names[0] == unit), ())
+    for right, read in permutations(names, 2):
+        ratio = float(difference_to_si(1.0, read)) / float(difference_to_si(1.0, right))
+        if abs(gain / ratio - 1.0) < DESCRIPTION.unit:
+            return f"as if {right} had been read as {read}, a factor of {ratio:.4g}"
+    return ""
