@@ -15,6 +15,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.score_tests import step_without_bias
+from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
 from casid.diagnosis.thresholds import PREWHITENING, REFITS
 from casid.errors import CasidError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
@@ -383,6 +384,7 @@ class Weighing:
             return value
         rng = np.random.default_rng(self.seed)
         order = sorted(range(len(names)), key=lambda i: names[i])
+        states = states_of_windows(criterion, range(len(x)))
         for e, d in enumerate(criterion.data):
             w = np.zeros(d.u.shape)
             for i in order:  # the same draw for a channel in every model
@@ -392,7 +394,10 @@ class Weighing:
             down = criterion.simulate(x, e, signals=replace(d, u=d.u - w))[0]
             moved = 0.5 * (up - down) * d.used * criterion.weights
             assert criterion.whiten is not None
-            white = criterion.whiten(moved[:, :, None], e)
+            white = criterion.whiten(moved[:, :, None], e).ravel()
+            if states:
+                begun = criterion.columns(x, e)[1].reshape(len(white), -1)[:, states]
+                white = left_by_states(begun, white)
             value -= 0.5 * float(np.sum(white**2))
         return value
 

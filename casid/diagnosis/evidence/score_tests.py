@@ -33,6 +33,7 @@ from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
+from casid.diagnosis.evidence.window_states import basis_of, left_by_states, states_of_windows
 from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
@@ -204,6 +205,7 @@ def _projected(name: str, columns: Columns, input_sd: Mapping[str, float], seed:
     if drawn:
         moved, turned, given = (_joined([d[i] for d in drawn]) for i in range(3))
         drawn.clear()
+        moved = left_by_states(tangent[:, states_of_windows(wide, columns.tangent)], moved)
         given /= size
         given[:, ~(finite & np.isfinite(given).all(axis=0))] = 0.0
         _take_out(given, turned / t_size, gamma)
@@ -221,14 +223,10 @@ def _reach(columns: Columns, tangent: Array, rest: Array) -> Array:
     state in which that begins: nearly all of a signature is then that growth. What the parameters
     have in common with it is their part in the rest. 1 where no record is cut.
     """
-    wide = columns.wide
-    if all(wide.parts(e) == 1 for e in range(len(wide.data))):
+    states = states_of_windows(columns.wide, columns.tangent)
+    if not states:
         return np.ones(rest.shape[1])
-    sources = [wide.variables[i].source in wide.model.states for i in columns.tangent]
-    begun = tangent[:, sources]
-    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", begun, begun), TINY))
-    u, s, _ = np.linalg.svd(begun / size, full_matrices=False)
-    taken = u[:, s > 1e-8 * s[:1]].T @ rest
+    taken = basis_of(tangent[:, states]).T @ rest
     left = 1.0 - np.einsum("ij,ij->j", taken, taken)
     return np.asarray(np.maximum(left, SCORES.least_reach))
 
@@ -364,12 +362,14 @@ def step_without_bias(
     gradient, matrix, noise = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
     sd = np.array([input_sd.get(name, 0.0) for name in criterion.model.inputs])
     rng = np.random.default_rng(seed)
+    states = states_of_windows(criterion, range(n))
     for k in range(len(criterion.data)):
         r, t, _ = columns.of_record(x, k)
         gradient += t.T @ r
         matrix += t.T @ t
         if np.any(sd > 0):
             moved, turned, _ = columns.antithetic(x, k, sd, rng)
+            moved = left_by_states(t[:, states], moved)
             gradient -= turned.T @ moved
             noise += turned.T @ turned
     if not all(np.all(np.isfinite(part)) for part in (matrix, noise, gradient)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.linearised_path import Linearised
+from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.evidence.unstable_records import in_windows
 from casid.estimation.holdout import restarts, split_records
@@ -227,3 +229,23 @@ def test_a_late_sensor_of_an_unstable_plant_is_named_with_its_delay():
     assert (cause.kind, cause.where) == ("time_delay", "phi")
     (delay,) = cause.parameters
     assert abs(delay.value - TS) < 3.5 * delay.std_error
+
+
+def test_what_noise_of_an_input_leaves_is_what_initial_states_of_windows_do_not_make_up_for():
+    """Less that, the criterion is what the sensors leave, chi^2 less a degree for each unknown."""
+    sd, record = 0.02, upright(N=1000)
+    noisy = record["u"] + sd * np.random.default_rng(8).standard_normal(record.N)
+    experiments = [casid.Experiment(record.with_channel("u", noisy, "N m"), window=80)]
+    model = problem().model
+    fit = fit_model(model, experiments, FitSettings(starts=1))
+    weighing = Weighing(experiments, known_noise=dict(zip(("phi", "gyro"), NOISE, strict=True)))
+    at = weighing.estimated(fit)
+    sensors = replace(at.full.quiet({}), output_sd=NOISE)
+    criterion = weighing.criterion(model, sensors, fit.values, fit.criterion)
+    left = weighing.minimum(criterion)
+    at = replace(at, input_sd={"u": sd})
+    expected = 0.5 * (2 * record.N - len(left.x))
+    by_noise = left.solution.value - expected
+    assert by_noise > expected
+    # Both that and its draw scatter as squares do of which each of 13 windows has two or three.
+    assert abs(weighing.compensated(at, criterion, left.x) - expected) < 0.8 * by_noise

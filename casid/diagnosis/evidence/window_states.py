@@ -1,0 +1,41 @@
+"""What the initial states of windows take of a change of the simulation.
+
+An unstable model is simulated window by window, each from a state that is fitted. It magnifies what
+noise of an input adds until the window ends, as it does an error of that state: of what noise adds,
+a fit has taken out all but the part that no initial state makes up for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casid.arrays import TINY, Array
+from casid.estimation.simulation.simulation_error import SimulationError
+
+
+def states_of_windows(criterion: SimulationError, columns: Sequence[int]) -> list[int]:
+    """Which of `columns`, variables of a criterion, are initial states; none if no record is cut.
+
+    The result counts along `columns`.
+    """
+    if all(criterion.parts(e) == 1 for e in range(len(criterion.data))):
+        return []
+    sources = [criterion.variables[i].source for i in columns]
+    return [k for k, source in enumerate(sources) if source in criterion.model.states]
+
+
+def basis_of(columns: Array) -> Array:
+    """(N, r) orthonormal basis of columns (N, k), which may be nearly dependent."""
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", columns, columns), TINY))
+    u, s, _ = np.linalg.svd(columns / size, full_matrices=False)
+    return np.asarray(u[:, s > 1e-8 * s[:1]])
+
+
+def left_by_states(begun: Array, moved: Array) -> Array:
+    """A change (N,) of all outputs less what initial states with the tangent (N, k) make up for."""
+    if not begun.shape[1] or not (np.isfinite(begun).all() and np.isfinite(moved).all()):
+        return moved
+    basis = basis_of(begun)
+    return np.asarray(moved - basis @ (basis.T @ moved))
