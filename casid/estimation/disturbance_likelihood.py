@@ -208,7 +208,10 @@ class _Likelihood:
         count = np.diff([*edges, len(lines)]).astype(float)
         omega = 2 * np.pi * np.add.reduceat(np.arange(1, len(lines) + 1), edges) / (count * N)
         S, slopes = self._spectra(z, e, omega)
-        inverse = np.linalg.inv(S)
+        try:
+            inverse = np.linalg.inv(S)
+        except np.linalg.LinAlgError:  # outputs that one source moves and no other noise
+            return _At(np.inf, np.zeros(len(z)), np.zeros((len(z), len(z))))
         _, logs = np.linalg.slogdet(S)
         whole = np.repeat(inverse, count.astype(int), axis=0)  # S^-1 at every line
         R, J = lines[:, :, 0], lines[:, :, 1:]

@@ -77,6 +77,16 @@ def test_the_gradient_is_that_of_the_likelihood() -> None:
     )
 
 
+def test_a_point_at_which_the_spectrum_is_singular_is_no_point_of_it() -> None:
+    """The search takes a shorter step from it, as from where the simulation diverges."""
+    _, _, fit, at = weighed(1, 3e-3)
+    search = _Likelihood(fit.criterion, at.full, {}, [None])
+    z = np.concatenate([fit.x, search.start])
+    assert np.isfinite(search.at(z).value)
+    z[len(fit.x) :] = -1e4  # logarithms of variances that are zero then
+    assert search.at(z).value == np.inf
+
+
 def estimated(seeds: range, height: float) -> tuple[Array, Array]:
     """(n, 2) of B and C as simulation errors estimate them, and as the likelihood does."""
     simulated, found = [], []
