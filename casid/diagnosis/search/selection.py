@@ -37,6 +37,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import HYSTERESIS_SHAPE
 
 SHARPNESS = "the sharpness of dry friction"
+LEAVES_MORE = "it seems to imitate a better law, and leaves more than noise"
 LATE = ("time_delay", "sensor_lag", "actuator_lag")
 """Kinds by which an input acts, or a sensor shows, later than in the model."""
 
@@ -95,6 +96,7 @@ class _Selection:
     errors: SimulationErrors
     adopted: list[Adopted] = field(default_factory=list)
     stores: list[Adopted] = field(default_factory=list)  # significant in the last round
+    imitations: list[Adopted] = field(default_factory=list)  # of better laws, in the last round
 
     @property
     def found(self) -> Adoption:
@@ -105,9 +107,22 @@ class _Selection:
         """One round of the search; False where nothing was adopted."""
         found = self._significant()
         for best in found:
-            if self._adopt([best]):
+            if self._adopt([best]) or self._adopt_in_its_place(best, found):
                 return True
         return self._adopt_pair(found)
+
+    def _adopt_in_its_place(self, refused: Adopted, found: Sequence[Adopted]) -> bool:
+        """Adopt what seemed to imitate a refused law, where it explains more than all others do.
+
+        An imitation of a law leaves what the law has beyond it. A change in time that foretells
+        what was held out, and leaves noise alone, is none.
+        """
+        if is_imitator(refused.candidate):
+            return False
+        others = [a.candidate.merit for a in found[found.index(refused) + 1 :]]
+        waiting = [a for a in self.imitations if a.candidate.merit > max(others, default=0.0)]
+        self.imitations = [a for a in self.imitations if a not in waiting]
+        return any(self._adopt([a], leaves_noise=True) for a in waiting)
 
     def _significant(self) -> list[Adopted]:
         """Candidates of one round that are significant, in the order in which they are tried."""
@@ -149,29 +164,35 @@ class _Selection:
             return Adopted(best, p_values[best.effect.key], rivals, at, is_alarm, near=near)
 
         self.stores = [adoptable(c) for c in significant if c.effect.is_store and c.merit > 0]
+        left = [c for c in significant if c not in causes and c.merit > 0]
+        if not search.weighing.takes_disturbances:
+            self.imitations = [adoptable(c) for c in _named_first(at, left)]
         return [
             adoptable(c)
             for c in _named_first(at, causes)
             if c in significant and (c.merit > 0 or is_alarm)
         ]
 
-    def _adopt(self, news: Sequence[Adopted], *, note: bool = True) -> bool:
+    def _adopt(
+        self, news: Sequence[Adopted], *, note: bool = True, leaves_noise: bool = False
+    ) -> bool:
         """Extend the model, unless its errors speak against it, or the fit fails.
 
         Parameters
         ----------
         news : one effect, or two of which the last was found beside the first.
+        leaves_noise : whether it has to leave noise alone.
         """
         best, attempts = news[-1].candidate, self.search.attempts
         what = f"the extension by {' and '.join(name_of(a.candidate.effect) for a in news)}"
-        why = attempts.attempt(what, partial(self._extend, news))
+        why = attempts.attempt(what, partial(self._extend, news, leaves_noise))
         if why is None:
             why = attempts.failed.pop(what, "no time was left to extend the model by it")
         if why and note:
             self.search.refused.append((best, why))
         return not why
 
-    def _extend(self, news: Sequence[Adopted]) -> str:
+    def _extend(self, news: Sequence[Adopted], leaves_noise: bool) -> str:
         """Extend the model; why its errors speak against it, or an empty text."""
         best, weighing = news[-1].candidate, self.search.weighing
         whole = partial(
@@ -188,6 +209,8 @@ class _Selection:
         if why := _why_undetermined(self.fit, fit, best):
             return why
         at = weighing.weigh(best.model, fit, rounds=1)
+        if leaves_noise and not self._is_noise(at):
+            return LEAVES_MORE
         if is_disturbed:
             # Under the disturbance, unless the simulation by itself then goes astray.
             if why_much_worse(self.fit, at.fit, self.split):
@@ -199,6 +222,10 @@ class _Selection:
         self.errors, self.fit, self.at = errors, fit, at
         self.adopted += news
         return ""
+
+    def _is_noise(self, at: Weighted) -> bool:
+        """True if a model leaves noise alone, of no more than sensors and inputs have."""
+        return not at.noise_absorbs_misfit and not is_more_than_noise(at, self.search)
 
     def _errors(self, c: Candidate) -> SimulationErrors:
         """The errors of a model fitted under the noise with disturbances."""

@@ -14,6 +14,7 @@ from casid.diagnosis.search.selection import _Selection, _why_undetermined
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import cubic_stiffness
 from casid.model.effects.channel_effects import sensor_scale
+from casid.model.effects.parameter_effects import parameter_drift
 
 
 def mass() -> casid.Model:
@@ -81,3 +82,45 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
         "the comparison of gain error of position with its rivals was left out: 0 samples are too "
         "few for 6 unknowns"
     )
+
+
+@pytest.mark.parametrize(
+    ("drift", "leaves", "adopted"),
+    [(120.0, "", "parameter_drift"), (70.0, "", "sensor_scale"), (120.0, "more", "sensor_scale")],
+)
+def test_a_drift_takes_the_place_of_a_law_that_foretells_worse_where_it_leaves_noise_alone(
+    monkeypatch, drift, leaves, adopted
+):
+    """A loss that grows while a furnace gets hotter looks like one that grows with the heat.
+
+    Of the laws, the best is refused for what was held out, and a poor one would not be. The drift
+    explains more than that one and leaves noise; or it explains less, or it leaves more than noise.
+    """
+
+    def found(effect, merit):
+        return SimpleNamespace(candidate=SimpleNamespace(effect=effect, merit=merit))
+
+    m = mass()
+    laws = [found(cubic_stiffness(m, "forces"), 100.0), found(sensor_scale(m, "position"), 80.0)]
+    waiting = [found(parameter_drift(m, "k", (0.0, 1.0)), drift)]
+
+    def significant(self):
+        self.imitations = list(waiting)
+        return laws
+
+    def extend(self, news, leaves_noise):
+        if news[0] is laws[0]:
+            return "it makes the held-out error worse"
+        assert leaves_noise is (news[0] in waiting)
+        if leaves_noise and leaves:
+            return leaves
+        self.adopted += news
+        return ""
+
+    monkeypatch.setattr(_Selection, "_significant", significant)
+    monkeypatch.setattr(_Selection, "_extend", extend)
+    search = SimpleNamespace(attempts=Attempts(), refused=[])
+    at = SimpleNamespace(noise_absorbs_misfit=True)
+    state = _Selection(search, None, None, None, at, None, at, None, None)
+    assert state.adopt_next()
+    assert [a.candidate.effect.kind for a in state.adopted] == [adopted]
