@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
@@ -19,6 +20,7 @@ from casid.diagnosis.evidence.stuck_sensors import Standstills, find_standstills
 from casid.diagnosis.thresholds import OUTLIERS
 from casid.estimation.holdout import Split, restarts, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
+from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +47,7 @@ class _Simulated:
     measured: list[Array]
     simulated: list[Array]
     used: list[Array]
-    inputs: list[Array]  # (N, nu), those recorded
+    inputs: list[Array]  # (N, nu), those recorded, each from the sample on that may show it
     anew: list[Array]  # samples at which the simulation starts anew
     times: list[Array]  # (N,) [s]
 
@@ -212,16 +214,39 @@ def _early(residual: Array, alpha: float) -> Array:
 def _channel(fit: Fit, split: Split, i: int) -> _Simulated:
     runs = [whole_simulation(fit, split, e) for e in range(len(split.whole))]
     runs += [simulate_apart(fit, experiment) for experiment in split.apart]
-    entries = fit.criterion.model.inputs.values()
+    model = fit.criterion.model
+    entries = model.inputs.values()
     recorded = [k for k, entry in enumerate(entries) if entry.kind != "generated"]
+    later = _act_later(model, fit.criterion.outputs[i])[recorded]
     return _Simulated(
         [d.y[:, i] for d, _, _ in runs],
         [y[:, i] for _, y, _ in runs],
         [d.used[:, i].copy() for d, _, _ in runs],
-        [d.u[:, recorded] for d, _, _ in runs],
+        [_shown(d.u[:, recorded], later) for d, _, _ in runs],
         restarts(fit, split),
         [d.t for d, _, _ in runs],
     )
+
+
+def _act_later(model: Model, channel: str) -> Array:
+    """Which inputs (nu,) no sample of a channel shows that was taken as they stepped.
+
+    A held input acts from its sample on: an output that it moves through states alone shows a step
+    at the next sample. What steps with a spike of that sample follows the sensor, as a controller
+    does that takes the spike for motion.
+    """
+    e = model.explicit()
+    row = e.h[list(e.outputs).index(channel)]
+    is_held = [model.inputs[name].hold == "zoh" for name in e.inputs]
+    direct = [bool(ca.depends_on(row, e.u[k])) for k in range(len(e.inputs))]
+    return np.array(is_held, dtype=bool) & ~np.array(direct, dtype=bool)
+
+
+def _shown(u: Array, later: Array) -> Array:
+    """Inputs (N, nu), those that act later moved to the sample that shows them first."""
+    out = u.copy()
+    out[1:, later] = u[:-1, later]
+    return out
 
 
 def _masked(split: Split, channel: str, masks: Sequence[Array]) -> Split:

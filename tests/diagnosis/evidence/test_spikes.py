@@ -12,13 +12,22 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from casid.diagnosis.evidence.corrupted_samples import _above_neighbours, _beside, _is_tail
+import casid
+from casid.diagnosis.evidence.corrupted_samples import (
+    _above_neighbours,
+    _act_later,
+    _beside,
+    _is_tail,
+    without_corrupted,
+)
 from casid.diagnosis.evidence.spikes import (
     _fourth_moment,
     _from_neighbours,
     find_spikes,
     starts_apart,
 )
+from casid.estimation.holdout import split_records
+from casid.estimation.simulation.fit import fit_model
 
 Array = np.ndarray
 
@@ -206,3 +215,44 @@ def test_what_a_jump_explains_makes_no_spikes_of_the_tail_of_noise():
     assert _is_tail(found, [alone])
     alone[700] += 9.0
     assert not _is_tail(found, [alone])
+
+
+def furnace(hold: str, *, element: bool = True) -> casid.Model:
+    m = casid.Model("furnace")
+    T = m.state("T", "K")
+    P = m.input("P", "W", hold=hold, known=True)
+    C = m.parameter("C", "J/K", start=900.0, lower=1.0)
+    G = m.parameter("G", "W/K", start=4.0, lower=0.01)
+    R = m.constant("R", 0.01, "K/W")
+    m.balance(T, "heat", inertia=C, terms=[P, -G * T])
+    m.output("T", T, "K")
+    if element:
+        m.output("element", T + R * P, "K")
+    return m
+
+
+def test_spikes_to_which_a_controller_replies_are_outliers():
+    """Each spike of a sensor makes the controller step as it is read; what moves comes after it.
+
+    T(k + 1) = P / 5 + (T - P / 5) exp(-5 / 1000 s): the input is held, the solution exact.
+    """
+    rng, N = np.random.default_rng(2), 600
+    at = np.array([55, 130, 233, 260, 318, 402, 470, 541])
+    goal, spikes = np.repeat(rng.uniform(50, 200, 6), 100), np.zeros(N)
+    spikes[at] = 20.0 * rng.choice([-1.0, 1.0], len(at))
+    T, P, y = 60.0, np.empty(N), np.empty(N)
+    for k in range(N):
+        y[k] = T + 0.1 * rng.standard_normal() + spikes[k]
+        P[k] = 5 * goal[k] + 40.0 * (goal[k] - y[k])
+        T = P[k] / 5 + (T - P[k] / 5) * np.exp(-5e-3)
+    units = {"T": "K", "P": "W"}
+    e = casid.Experiment(casid.Record({"T": y, "P": P}, units, Ts=1.0), {}, "loop")
+    fit = fit_model(furnace("zoh", element=False), [e], casid.FitSettings(starts=1))
+    (found,) = without_corrupted(fit, split_records([e], 0.0), ALPHA)[0].spikes
+    np.testing.assert_array_equal(np.flatnonzero(found.masks[0]), at)
+
+
+def test_an_output_shows_a_held_input_at_once_only_where_it_is_part_of_it():
+    assert _act_later(furnace("zoh"), "T").tolist() == [True]
+    assert _act_later(furnace("zoh"), "element").tolist() == [False]
+    assert _act_later(furnace("foh"), "T").tolist() == [False]
