@@ -79,7 +79,11 @@ class Refitting:
         return best if _is_plausible(at, best) else None
 
     def _with_more_room(self, at: Weighted, best: Candidate) -> Candidate:
-        """A delay or lag that ends at the end of what its start left it, with room from there."""
+        """A delay or lag that ends at the end of what its start left it, with room from there.
+
+        Room is left to fits of its model that come later, too: under other noise, and to whole
+        records, it may be longer.
+        """
         effect, name = best.effect, best.names[0]
         while effect.limit is not None:
             reached, end = best.fit.values[name], best.model.parameters[name].upper
@@ -92,7 +96,13 @@ class Refitting:
             if found is None or found.gain <= best.gain:
                 break
             best = found
-        return best
+        if effect.limit is None:
+            return best
+        model = best.model.copy()
+        p = model.parameters[name]
+        upper = max(p.upper, _room(at, effect, best.fit.values[name]))
+        model.parameters[name] = replace(p, upper=upper)
+        return replace(best, model=model)
 
     def _from_declared_starts(
         self,

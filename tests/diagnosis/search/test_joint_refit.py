@@ -124,6 +124,16 @@ def test_a_lag_that_is_longer_than_its_start_leaves_room_for_is_found_all_the_sa
     assert found.fit.solution.at_upper == ()
 
 
+def test_the_model_of_a_lag_has_room_for_twice_what_was_found_up_to_the_longest() -> None:
+    """A thermometer of 0.6 s was held at the 0.53 s that its refit had ended below."""
+    refitting, at = pushed_sledge()
+    for longest, upper in ((3.0, 2 * LAG_OF_PUSH), (0.7, 0.7)):
+        effect = actuator_lag(at.model, "F", longest=longest)
+        found = refitting.refit(at, effect, 0.3, near=True)
+        assert found is not None
+        assert 0.95 * upper <= found.model.parameters["tau_F"].upper <= longest
+
+
 def test_candidates_are_refitted_to_where_nothing_is_left_to_decide() -> None:
     """Each of the two fits within 1e-5 of the criterion of one to the end, or twice that."""
     gains = []
