@@ -17,9 +17,10 @@ from scipy.fft import rfft
 
 from casid.arrays import Array
 from casid.estimation.filled_noise import filled_spectrum
+from casid.estimation.simulation.band_limited import responses_between
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.simulation.simulator import rk4_sample
+from casid.estimation.simulation.simulator import band_limited, rk4_sample
 from casid.model.declarations import Input
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
@@ -84,7 +85,8 @@ def noise_response(
         places = np.clip(np.searchsorted(even.omega, omega), 0, len(even.omega) - 1)
         gain = even.gain[places]
         return Response(omega, np.abs(gain) ** 2, even.sources, gain)
-    disturbed, e, (a, b0, b1, c, dd) = _mean_slopes(criterion, x, experiment, is_beside=is_beside)
+    disturbed, e, means = _mean_slopes(criterion, x, experiment, is_beside=is_beside)
+    a, b0, b1, inside, c, dd = means
     model, d = criterion.model, criterion.data[experiment]
     forced = places_of_forces(model)
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
@@ -99,7 +101,8 @@ def noise_response(
     enters = _input_stages(
         criterion, x, experiment, e.inputs, measured, len(forced), len(omega) - 1
     )
-    rhs = (b0 + z[:, None, None] * b1) @ enters
+    course = responses_between(omega, 2 * criterion.substeps)
+    rhs = (b0 + z[:, None, None] * b1 + np.einsum("fk,kxu->fxu", course, inside)) @ enters
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
     g = g * _sensor_stages(criterion, x, experiment, len(omega) - 1)[:, :, None]
     for name in set(measured) & set(d.filled):
@@ -125,10 +128,12 @@ def _mean_slopes(
     else:
         states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
     pick = np.linspace(0, len(states) - 1, min(len(states), POINTS)).astype(int)
-    a, b0, b1, c, dd = _slopes(criterion, x, experiment, states[pick], (d.u[pick], d.u[pick]))
-    sizes = _gains(np.concatenate([b0, b1, dd]))
-    b0, b1, dd = np.split(sizes, [a.shape[0], 2 * a.shape[0]])
-    return disturbed, e, (a.mean(axis=1), b0, b1, c.mean(axis=1), dd)
+    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states[pick], d.u[pick], d.u[pick])
+    sizes = _gains(np.concatenate([b0, b1, *inside, dd]))
+    nx, ny = len(e.states), len(e.outputs)
+    b0, b1, inside, dd = np.split(sizes, [nx, 2 * nx, len(sizes) - ny])
+    inside = inside.reshape(-1, nx, len(e.inputs))
+    return disturbed, e, (a.mean(axis=1), b0, b1, inside, c.mean(axis=1), dd)
 
 
 def steps_along(criterion: SimulationError, x: Array, experiment: int) -> Steps | None:
@@ -142,8 +147,11 @@ def steps_along(criterion: SimulationError, x: Array, experiment: int) -> Steps 
         return None
     ahead = np.vstack([d.u[1:], d.u[-1:]])
     states = criterion.simulated(x, experiment).x
-    found = _slopes(criterion, x, experiment, states, (d.u, ahead))
-    a, b0, b1, c, dd = (np.ascontiguousarray(m.swapaxes(0, 1)) for m in found)
+    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, d.u, ahead)
+    # What a band-limited input does between its samples is taken as on a straight line here.
+    shares = np.arange(1, len(inside) + 1)[:, None, None, None] / (len(inside) + 1)
+    b0, b1 = b0 + np.sum((1 - shares) * inside, axis=0), b1 + np.sum(shares * inside, axis=0)
+    a, b0, b1, c, dd = (np.ascontiguousarray(m.swapaxes(0, 1)) for m in (a, b0, b1, c, dd))
     forced = places_of_forces(criterion.model)
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
     of = [e.inputs.index(n) for n in measured]
@@ -152,21 +160,33 @@ def steps_along(criterion: SimulationError, x: Array, experiment: int) -> Steps 
 
 
 def _slopes(
-    criterion: SimulationError, x: Array, experiment: int, states: Array, u: tuple[Array, Array]
+    criterion: SimulationError, x: Array, experiment: int, states: Array, u: Array, u_next: Array
 ) -> tuple[Array, ...]:
     """Slopes (rows, points, columns) of a sample at states (points, nx): `_linearisation`'s.
 
+    Those in what band-limited inputs are within the sample are (parts - 1, nx, points, inputs).
+
     Parameters
     ----------
-    u : (points, nu) the recorded inputs there, and at the sample after.
+    u, u_next : (points, nu) the recorded inputs there, and at the sample after.
     """
     d, points = criterion.data[experiment], len(states)
-    _, e, slopes, _ = _linearised(criterion, d.Ts)
-    here, ahead = (np.hstack([v, np.zeros((points, len(e.inputs) - v.shape[1]))]) for v in u)
+    disturbed, e, slopes, _ = _linearised(criterion, d.Ts)
+    ni, parts = len(e.inputs), 2 * criterion.substeps
+    here, ahead = (np.hstack([v, np.zeros((points, ni - v.shape[1]))]) for v in (u, u_next))
+    banded = [e.inputs.index(name) for name in band_limited(disturbed)]
+    share = np.arange(1, parts) / parts
+    within = here[:, banded, None] * (1 - share) + ahead[:, banded, None] * share
     p = np.tile(criterion.parameter_vector(x, experiment)[0][:, None], (1, points))
     mapped = criterion.built(("noise response", d.Ts, points), lambda: slopes.map(points))
-    found = mapped(states.T, here.T, ahead.T, p)
-    return tuple(np.array(m).reshape(m.shape[0], points, -1) for m in found)
+    found = mapped(states.T, here.T, ahead.T, within.reshape(points, -1).T, p)
+    a, b0, b1, course, c, dd = (np.array(m).reshape(m.shape[0], points, -1) for m in found)
+    inside = np.zeros((parts - 1, *b0.shape))
+    for i, column in enumerate(banded):
+        inside[..., column] = np.moveaxis(
+            course[..., i * (parts - 1) : (i + 1) * (parts - 1)], -1, 0
+        )
+    return a, b0, b1, inside, c, dd
 
 
 def _gains(at_points: Array) -> Array:
@@ -201,8 +221,8 @@ def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit,
 def _linearisation(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
     """The model with a force in each balance, its equations, and the derivatives of a sample.
 
-    The function takes states, inputs, inputs at the next sample and parameters; last whether it
-    depends on parameters alone.
+    The function takes states, inputs, inputs at the next sample, band-limited ones in between (as
+    `rk4_sample` does) and parameters; last whether it depends on parameters alone.
     """
     model = criterion.model.copy()
     # What lags before the simulation moves in lines of its own; sensors come after it.
@@ -210,12 +230,13 @@ def _linearisation(criterion: SimulationError, Ts: float) -> tuple[Model, Explic
     disturbed = with_forces(model, places_of_forces(model), "unknown")
     e = disturbed.explicit()
     u_next = ca.SX.sym("un", len(e.inputs))
-    xs = rk4_sample(disturbed, e, u_next, Ts, criterion.substeps)
-    slopes = [ca.jacobian(xs, of) for of in (e.x, e.u, u_next)]
+    within = ca.SX.sym("within", len(band_limited(disturbed)) * (2 * criterion.substeps - 1))
+    xs = rk4_sample(disturbed, e, u_next, Ts, criterion.substeps, within)
+    slopes = [ca.jacobian(xs, of) for of in (e.x, e.u, u_next, within)]
     slopes += [ca.jacobian(e.h, of) for of in (e.x, e.u)]
-    moving = ca.veccat(e.x, e.u, u_next)
+    moving = ca.veccat(e.x, e.u, u_next, within)
     is_constant = not ca.depends_on(ca.veccat(*slopes), moving)
-    return disturbed, e, ca.Function("lin", [e.x, e.u, u_next, e.p], slopes), is_constant
+    return disturbed, e, ca.Function("lin", [e.x, e.u, u_next, within, e.p], slopes), is_constant
 
 
 def _input_stages(

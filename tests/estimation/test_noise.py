@@ -98,6 +98,34 @@ def test_the_response_is_that_of_the_linear_model():
     assert r.gain2[band, 0, i] == pytest.approx(S**2 * np.abs(G[band]) ** 2, rel=1e-3)
 
 
+@pytest.mark.parametrize("hold", ["bandlimited", "foh"])
+def test_noise_of_an_input_acts_as_what_the_input_is_between_its_samples(hold):
+    """1 / (1 + (w tau)^2) of a band-limited input; of straight lines that of their exact samples.
+
+    The windowed sinc is exact to 2e-4 up to 0.9 of half the sampling rate. With x' = (u - x) / tau
+    and lines x(k + 1) = a x(k) + (1 - a - b) u(k) + b u(k + 1), b = 1 - tau / Ts (1 - a).
+    """
+    Ts, tau = 0.02, 0.03
+    m = casid.Model("lag")
+    x, u = m.state("x", "m"), m.input("u", "m", hold=hold)
+    m.derivative(x, (u - x) / m.constant("tau", tau, "s"))
+    m.output("y", x, "m")
+    rng = np.random.default_rng(3)
+    channels = {"u": rng.standard_normal(200), "y": rng.standard_normal(200)}
+    record = casid.Record(channels, {"u": "m", "y": "m"}, Ts=Ts)
+    c = SimulationError(m, [casid.Experiment(record, {}, "r")], substeps=8)
+    r = noise_response(c, c.start, 0)
+    w = r.omega[r.omega < 0.9 * np.pi]
+    z, a = np.exp(1j * w), np.exp(-Ts / tau)
+    b = 1 - tau / Ts * (1 - a)
+    expected = {
+        "bandlimited": 1 / (1 + (w * tau / Ts) ** 2),
+        "foh": np.abs((1 - a - b + z * b) / (z - a)) ** 2,
+    }
+    found = r.gain2[: len(w), 0, r.sources.index("u")]
+    np.testing.assert_allclose(found, expected[hold], rtol=2e-3)
+
+
 def test_the_quiet_part_of_an_inputs_spectrum_bounds_its_noise():
     hidden = truth.cart_pendulum(seed=41)
     experiment = casid.Experiment(record_of(hidden), {}, "r")

@@ -239,7 +239,7 @@ def _act_later(model: Model, channel: str) -> Array:
     row = e.h[list(e.outputs).index(channel)]
     is_held = [model.inputs[name].hold == "zoh" for name in e.inputs]
     direct = [bool(ca.depends_on(row, e.u[k])) for k in range(len(e.inputs))]
-    return np.array(is_held, dtype=bool) & ~np.array(direct, dtype=bool)
+    return np.asarray(np.array(is_held, dtype=bool) & ~np.array(direct, dtype=bool))
 
 
 def _shown(u: Array, later: Array) -> Array:

@@ -22,6 +22,9 @@ REACH = 32
 _BETA = 8.0
 """Shape of the Kaiser window: ripple of 80 dB."""
 
+_NEAR = np.arange(REACH, -REACH, -1)
+"""The sample that each weight of a value between samples 0 and 1 belongs to."""
+
 
 def between_samples(u: Array, parts: int) -> Array:
     """Columns (N, m) at 1/parts, 2/parts, ... of the way to the next sample, (N, m, parts - 1).
@@ -59,10 +62,15 @@ def _phases(parts: int) -> tuple[Array, ...]:
     middle = REACH * parts
     out = []
     for j in range(1, parts):
-        near = np.arange(REACH, -REACH, -1)  # the sample that each weight belongs to
-        weights = taps[middle + j - near * parts]
+        weights = taps[middle + j - _NEAR * parts]
         out.append(weights / weights.sum())
     return tuple(out)
+
+
+def responses_between(omega: Array, parts: int) -> Array:
+    """Responses (F, parts - 1), at `omega` (F,) rad/sample, of what `between_samples` returns."""
+    waves = np.exp(1j * omega[:, None] * _NEAR)
+    return np.asarray(waves @ np.array(_phases(parts)).reshape(parts - 1, -1).T)
 
 
 def moved(u: Array, samples: float) -> tuple[Array, Array]:
