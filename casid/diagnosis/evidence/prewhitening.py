@@ -148,10 +148,13 @@ class Weighing:
         if not extended.full.spectra:
             return bare
         there = (extended.unbiased or extended.fit).values
-        fit, criterion = bare.fit, bare.criterion
-        x = np.array([there.get(name, v) for name, v in fit.values.items()])
-        x = _within_bounds(criterion, x)
-        at = replace(bare, fit=_moved(fit, criterion, x), full=extended.full, unbiased=None)
+        values = {name: there.get(name, v) for name, v in bare.fit.values.items()}
+        # The noise whitens residuals in the units of the errors that the extended model leaves.
+        like = extended.criterion
+        criterion = self.criterion(bare.model, extended.full, values, like)
+        use_samples_of(criterion, bare.criterion)
+        x = _within_bounds(criterion, np.array([values[name] for name in criterion.names]))
+        at = replace(bare, fit=_moved(bare.fit, criterion, x), full=extended.full, unbiased=None)
         found = self._comparable(self._in_turn(bare.model, at))
         return min(bare, found, key=minus_log_likelihood)
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.minimization import Fit
 from tests.diagnosis.search.test_disturbances import hull, record
 
 TS, N, AMPLITUDE, FREQUENCY = 2.0, 1500, 1.5e-4, 0.0113  # s, 1, m^3/s, Hz
@@ -54,13 +56,18 @@ def test_a_band_that_the_record_does_not_resolve_is_a_line(seed: int) -> None:
     assert np.hypot(value["a_cos"], value["a_sin"]) == pytest.approx(AMPLITUDE, abs=4 * 6e-6)
 
 
-def test_a_model_is_as_likely_as_from_where_an_extension_of_it_ended() -> None:
-    """Found from too small a damping, the likelihood of a sea may end at a lower maximum."""
-    problem = hull()
+@functools.cache
+def sea() -> tuple[Weighing, Fit, Weighted]:
+    """A hull in a sea: the fit, and the model under the disturbance."""
     split = split_records([casid.Experiment(record(1), {}, "sea")], 0.3)
     weighing = Weighing(split.fitted).with_disturbances()
-    fit = fit_model(problem.model, split.fitted, FitSettings(starts=1))
-    best = weighing.weigh(problem.model, fit, rounds=1)
+    fit = fit_model(hull().model, split.fitted, FitSettings(starts=1))
+    return weighing, fit, weighing.weigh(hull().model, fit, rounds=1)
+
+
+def test_a_model_is_as_likely_as_from_where_an_extension_of_it_ended() -> None:
+    """Found from too small a damping, the likelihood of a sea may end at a lower maximum."""
+    weighing, _, best = sea()
     assert best.unbiased is not None
     x = best.unbiased.x.copy()
     x[best.criterion.names.index("B")] *= 0.3
@@ -73,3 +80,12 @@ def test_a_model_is_as_likely_as_from_where_an_extension_of_it_ended() -> None:
     assert minus_log_likelihood(again) < minus_log_likelihood(lower) - 1.0
     kept = weighing.from_disturbance_of(best, lower)
     assert minus_log_likelihood(kept) <= minus_log_likelihood(best)
+
+
+def test_the_likelihood_there_is_the_same_in_whatever_units_the_extension_was_fitted() -> None:
+    """An extended model is fitted in units of the errors that it leaves, here a fifth of others."""
+    weighing, fit, bare = sea()
+    weights, once = 5.0 * fit.criterion.weights, FitSettings(starts=1)
+    again = fit_model(hull().model, weighing.experiments, once, weights=weights)
+    found = weighing.from_disturbance_of(bare, weighing.weigh(hull().model, again, rounds=1))
+    assert minus_log_likelihood(found) == pytest.approx(minus_log_likelihood(bare), abs=0.1)
