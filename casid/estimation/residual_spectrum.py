@@ -12,7 +12,9 @@ restricted likelihood (Patterson and Thompson, Biometrika 58 (1971) 545-554),
     log |Gamma| + log |T' Gamma^-1 T| + r' Gamma^-1 (r - T (T' Gamma^-1 T)^-1 T' Gamma^-1 r),   (2)
 
 which knows what the unknowns take out of a residual: where noise has the frequency and damping of a
-decay, that is most of its peak.
+decay, that is most of its peak. What a model lacks is no noise: where (2) calls the whole misfit an
+excursion of noise in the few directions that the unknowns span, its autoregression would leave a
+residual many times as large as the one that there is, and Burg's is kept.
 """
 
 from __future__ import annotations
@@ -21,11 +23,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import toeplitz
 from scipy.optimize import minimize
-from scipy.signal import lfilter
-from scipy.stats import norm
+from scipy.signal import lfilter, lfiltic
+from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
@@ -40,6 +42,8 @@ CONVERGED = 1e-2
 """Slope of (2) at which its search ends."""
 MOVED = 0.1
 """Standard errors over which (1) is differentiated by its spectrum."""
+CONTRADICTED = 0.05
+"""Probability of so small a residual below which (2) is not believed (a heuristic)."""
 LEAST_FREEDOM, MANY = 3.0, 1e6
 """Degrees of freedom of a variance by (1): below the first t would be all tail, above the second
 it is normal."""
@@ -82,6 +86,23 @@ class Autoregression:
         out = lfilter(np.concatenate([[1.0], self.coefficients]), [1.0], columns, axis=0)
         out[:p] = first
         return np.asarray(out / np.sqrt(self.variance))
+
+    def autocovariances(self, samples: int) -> Array:
+        """(samples,) E r(t) r(t - k), by Levinson's recursion and then that of the model."""
+        g = [self.variance / float(np.prod(1 - self.reflections**2))]
+        a = np.zeros(0)
+        for k in self.reflections:
+            # The reflection coefficient is what the lag's covariance leaves unpredicted.
+            error = g[0] + float(a @ g[1:]) if len(a) else g[0]
+            g.append(-k * error - float(a @ np.array(g[:0:-1])))
+            a = _longer(a, k)
+        out = np.zeros(max(samples, len(g)))
+        out[: len(g)] = g
+        if self.order and samples > len(g):
+            state = lfiltic([1.0], np.concatenate([[1.0], a]), g[:-self.order - 1 : -1])
+            rest = np.zeros(samples - len(g))
+            out[len(g) :] = lfilter([1.0], np.concatenate([[1.0], a]), rest, zi=state)[0]
+        return out[:samples]
 
     def log_determinant(self, samples: int) -> float:
         """log det of the covariance of so many samples."""
@@ -144,6 +165,8 @@ def restricted(
 ) -> list[Autoregression]:
     """Autoregressions of the same orders at the minimum of (2); of high ones, their variances.
 
+    So too where the residual contradicts that minimum (`_chance_of_less`).
+
     Parameters
     ----------
     models : one an output, where the search starts.
@@ -170,7 +193,40 @@ def restricted(
     start = [np.arctanh(np.clip(m.reflections / edge, -inside, inside)) for m in models]
     first = np.concatenate([np.zeros(len(models)), *start])
     found = minimize(value, first, method="BFGS", options={"gtol": CONVERGED, "maxiter": 50})
-    return at(found.x) if found.fun < value(first) else models
+    if not found.fun < value(first):
+        return models
+    best = at(found.x)
+    return models if _chance_of_less(best, records) < CONTRADICTED else best
+
+
+def _chance_of_less(models: Sequence[Autoregression], records: Sequence[Weighted]) -> float:
+    """The probability of a sum of squares below that of the residual, if it has these spectra.
+
+    With an orthonormal basis U of the sensitivities the sum of squares has the mean tr(M Gamma)
+    and the variance 2 tr((M Gamma)^2), M = 1 - U U': taken for a multiple of chi^2 of these two
+    moments (Satterthwaite, Biometrics Bull. 2 (1946) 110-114).
+    """
+    parts = [part for record in records for part in record]
+    basis, _ = np.linalg.qr(np.concatenate([t for _, t in parts]))
+    total = mean = half = 0.0
+    inner = np.zeros((basis.shape[1], basis.shape[1]))
+    begin = 0
+    for k, (r, _) in enumerate(parts):
+        u = basis[begin : begin + len(r)]
+        begin += len(r)
+        g = models[k % len(models)].autocovariances(len(r))
+        size = next_fast_len(2 * len(r), real=True)
+        both_sides = np.concatenate([g, np.zeros(size - 2 * len(r) + 1), g[:0:-1]])
+        coloured = irfft(rfft(both_sides)[:, None] * rfft(u, size, axis=0), size, axis=0)[: len(r)]
+        pairs = np.arange(len(r), 0, -1) * g**2
+        inner += u.T @ coloured
+        total += float(r @ r)
+        mean += len(r) * g[0]
+        half += 2 * pairs.sum() - pairs[0] - 2 * float(np.sum(coloured**2))
+    mean -= float(np.trace(inner))
+    half += float(np.sum(inner**2))
+    freedom = mean**2 / max(half, TINY)
+    return float(chi2.cdf(freedom * total / max(mean, TINY), freedom))
 
 
 def _restricted_likelihood(models: Sequence[Autoregression], records: Sequence[Weighted]) -> float:
