@@ -143,7 +143,9 @@ class Weighing:
         """The likelier of a model and the same as found from where an extension of it ended.
 
         Its likelihood has several maxima. An extension that led to a higher one, which is there
-        without it as well, would have its evidence from that.
+        without it as well, would have its evidence from that. Where the model as it is diverges at
+        the extension's values, such as a time constant that only the extension follows in its
+        steps, there is none.
         """
         if not extended.full.spectra:
             return bare
@@ -154,6 +156,8 @@ class Weighing:
         criterion = self.criterion(bare.model, extended.full, values, like)
         use_samples_of(criterion, bare.criterion)
         x = _within_bounds(criterion, np.array([values[name] for name in criterion.names]))
+        if not np.isfinite(criterion.evaluate(x).value):
+            return bare
         at = replace(bare, fit=_moved(bare.fit, criterion, x), full=extended.full, unbiased=None)
         found = self._comparable(self._in_turn(bare.model, at))
         return min(bare, found, key=minus_log_likelihood)

@@ -89,3 +89,18 @@ def test_the_likelihood_there_is_the_same_in_whatever_units_the_extension_was_fi
     again = fit_model(hull().model, weighing.experiments, once, weights=weights)
     found = weighing.from_disturbance_of(bare, weighing.weigh(hull().model, again, rounds=1))
     assert minus_log_likelihood(found) == pytest.approx(minus_log_likelihood(bare), abs=0.1)
+
+
+def test_where_the_model_diverges_at_what_an_extension_found_it_is_as_it_was() -> None:
+    """A time constant of a fraction of a step, for which the extension alone has the steps."""
+    split = split_records([casid.Experiment(pumped(2), {}, "pump")], 0.3)
+    weighing = Weighing(split.fitted).with_disturbances()
+    fit = fit_model(tank().model, split.fitted, FitSettings(starts=1))
+    best = weighing.weigh(fit.criterion.model, fit, rounds=1)
+    assert best.full.spectra
+    x = best.fit.x.copy()
+    x[best.criterion.names.index("a")] = 1e3
+    assert not np.isfinite(best.criterion.evaluate(x).value)
+    solution = replace(best.fit.solution, x=x)
+    stiff = replace(best, fit=replace(best.fit, solution=solution), unbiased=None)
+    assert weighing.from_disturbance_of(best, stiff) is best
