@@ -21,6 +21,7 @@ from casid.model.effects.balance_effects import (
 from casid.model.effects.channel_effects import (
     channel_effects_of,
     dead_times_of,
+    is_moved,
     saturation,
     sensor_bias,
     time_delay,
@@ -107,7 +108,8 @@ def catalogue(
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         effects.append(sensor_bias(model, channel))
-        effects.append(time_delay(model, channel, sizes.longest_delay))
+        if not is_moved(model, channel):
+            effects.append(time_delay(model, channel, sizes.longest_delay))
     effects += dead_times_of(model, sizes)
     effects += further_places_of_inputs(model, sizes)
     effects += channel_effects_of(model, sizes, recorded)

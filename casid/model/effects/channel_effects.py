@@ -135,9 +135,9 @@ def require_command(model: Model, channel: str, *, instead: str) -> None:
 
 
 def dead_times_of(model: Model, sizes: Sizes) -> list[Effect]:
-    """Recorded inputs that may act late, each that does not yet."""
+    """Recorded inputs that may act late, each that is not moved in time yet."""
     longest = max(RANGES.dead_time * (sizes.window[1] - sizes.window[0]), sizes.longest_delay)
-    return [dead_time(model, n, longest) for n in commands_of(model) if not is_late(model, n)]
+    return [dead_time(model, n, longest) for n in commands_of(model) if not is_moved(model, n)]
 
 
 def carry(model: Model, stage: Stage) -> None:
@@ -172,6 +172,12 @@ def is_lagging(model: Model, channel: str) -> bool:
 def is_late(model: Model, channel: str) -> bool:
     """True if an input acts through a dead time already."""
     return any(s.kind == "late_input" and s.channel == channel for s in model.stages)
+
+
+def is_moved(model: Model, channel: str) -> bool:
+    """True if an input acts late, or its record is late: of both, only the difference shows."""
+    kinds = ("late_input", "delay_input")
+    return any(s.kind in kinds and s.channel == channel for s in model.stages)
 
 
 def _has_lines(model: Model, channel: str) -> bool:

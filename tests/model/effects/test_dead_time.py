@@ -241,3 +241,18 @@ def test_only_recorded_commands_act_late_and_only_once():
     }
     with pytest.raises(casid.ModelError, match="request time_delay of such a channel"):
         dead_time(pendulum.problem.model, "accel", 0.5)
+
+
+@pytest.mark.parametrize("first", [dead_time, time_delay])
+def test_an_input_that_is_moved_in_time_is_not_moved_a_second_time(first) -> None:
+    """u(t - d + e) has d - e alone: a late record of a late input would leave d any value."""
+
+    def delays(model: casid.Model) -> list[str]:
+        every = catalogue(model, SIZES, {})
+        return [e.parameters[0].name for e in every if e.kind == "time_delay"]
+
+    model = oscillator(known=False)
+    assert {"dead_time_force", "delay_force", "delay_position"} <= set(delays(model))
+    left = delays(first(model, "force", 0.1).extend(model))
+    assert "delay_position" in left
+    assert not {"dead_time_force", "delay_force"} & set(left)
