@@ -99,7 +99,7 @@ class Autoregression:
         out = np.zeros(max(samples, len(g)))
         out[: len(g)] = g
         if self.order and samples > len(g):
-            state = lfiltic([1.0], np.concatenate([[1.0], a]), g[:-self.order - 1 : -1])
+            state = lfiltic([1.0], np.concatenate([[1.0], a]), g[: -self.order - 1 : -1])
             rest = np.zeros(samples - len(g))
             out[len(g) :] = lfilter([1.0], np.concatenate([[1.0], a]), rest, zi=state)[0]
         return out[:samples]

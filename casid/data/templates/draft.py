@@ -31,6 +31,16 @@ def number(value: float) -> str:
     return str(int(rounded)) if rounded.is_integer() and abs(rounded) < 1e4 else f"{rounded:g}"
 
 
+def _between(value: float, low: float, high: float) -> str:
+    """A guess between bounds, or one of them: two digits where they are exact, to their thousandth.
+
+    Two digits of 295 K are 300 K.
+    """
+    step = 10.0 ** (math.floor(math.log10(high - low)) - 3)
+    plain = number(value)
+    return plain if abs(float(plain) - value) <= step else f"{round(value / step) * step:.12g}"
+
+
 def in_unit(value: float, unit: str) -> float:
     """A value in SI units, in `unit`."""
     parsed = parse_unit(unit)
@@ -150,16 +160,16 @@ class Draft:
         if not usable:
             self.guessed.append(name)
         size = math.floor(math.log10(abs(value))) if value else 0
+        shown = number(value)
         if within is not None:
-            bounds = f", lower={number(within[0])}, upper={number(within[1])}"
+            shown, *ends = (_between(x, *within) for x in (value, *within))
+            bounds = f", lower={ends[0]}, upper={ends[1]}"
         elif sign == "any":
             bounds = ""
         else:
             lowest = 0.0 if sign == "zero" else 10.0 ** (size - _DECADES)
             bounds = f", lower={lowest:g}, upper={10.0 ** (size + _DECADES - 1):g}"
-        call = (
-            f"{name} = m.parameter({quoted(name)}, {quoted(unit)}, start={number(value)}{bounds})"
-        )
+        call = f"{name} = m.parameter({quoted(name)}, {quoted(unit)}, start={shown}{bounds})"
         return _line(call, what, "" if usable else "the start is a guess")
 
     def known(self, name: str, unit: str, value: float, what: str) -> str:

@@ -22,7 +22,7 @@ from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.reading.unit_of_time import is_open
 from casid.data.record import Record
 from casid.errors import DataError, nearest
-from casid.model.units import unit_aliases
+from casid.model.units import parse_unit, unit_aliases
 
 _HELD = 0.5  # heuristic: in a held command more samples than these repeat the one before ...
 _STEP = 0.05  # ... and the others move by more than this share of its spread: no quantisation
@@ -56,6 +56,13 @@ class FileChannel:
         stem = ascii_text(stem_of(self.column))
         text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", stem)
         return tuple(re.findall(r"[a-z]+", text.lower()))
+
+    def in_unit(self, unit: str) -> FileChannel:
+        """The same with values that were written in this unit, as they look; empty: none."""
+        if not unit:
+            return self
+        parsed = parse_unit(unit)
+        return replace(self, unit=unit, values=self.values * parsed.factor + parsed.offset)
 
     @property
     def is_constant(self) -> bool:
@@ -120,6 +127,17 @@ class FileChannels(NamedTuple):
         if self.window is None:
             return str(self.path)
         return f"{self.path}@{limit_text(self.window[0])}:{limit_text(self.window[1])}"
+
+    def in_units(self, units: Mapping[str, str]) -> FileChannels:
+        """The same with columns, whose values are as in the file, in the units that they fit.
+
+        Parameters
+        ----------
+        units : column -> unit; empty for one that stays as it is.
+        """
+        return self._replace(
+            channels=tuple(c.in_unit(units.get(c.column, "")) for c in self.channels)
+        )
 
     def column(self, column: str, signal: str) -> FileChannel:
         """The channel of a column that is to be `signal`.

@@ -173,7 +173,11 @@ def _draft(
     time = None if clock is None else ColumnSpec(clock[0], clock[1], "s")
     file = file_channels(data, time, [(c, unit) for c, unit in names.values() if unit], form)
     roles = {role.name: role for role in template.roles(file)}
-    return Draft(file, roles, _columns(template, file, roles, names), dict(known))
+    columns = _columns(template, file, roles, names)
+    likely = {c.column: roles[n].likely_unit(c) for n, c in columns.items() if c.unit is None}
+    file = file.in_units(likely)
+    columns = {n: file.column(c.column, n) for n, c in columns.items()}
+    return Draft(file, roles, columns, dict(known))
 
 
 def _template(name: str) -> Template:

@@ -9,6 +9,9 @@ from casid.data.templates.roles import Role
 from casid.data.templates.template import Body, Template
 from casid.data.templates.weak_form import weak_form
 
+COLDEST, HOTTEST = 173.15, 2273.15
+"""Surroundings [K] of what is warmer than -100 degC: a winter, and a furnace of 2000 degC."""
+
 OUTSIDE = "out aussen amb umgeb ext ta surround weather"
 ROLES = (
     Role("temperature", "output", ("K",), "room raum in innen zone temp t body wall", OUTSIDE),
@@ -63,6 +66,7 @@ def write(d: Draft) -> Body:
                 "temperature of the surroundings",
                 default=round(in_unit(float(np.min(d["temperature"])), unit)),
                 sign="any",
+                within=_surroundings(d),
             ),
         ],
         relations=[
@@ -71,6 +75,18 @@ def write(d: Draft) -> Body:
         ],
         outputs=[d.output("temperature", "T")],
     )
+
+
+def _surroundings(d: Draft) -> tuple[float, float]:
+    """The coldest and the hottest that surroundings may be, in the unit of the temperature.
+
+    Where a record shows no loss, a fit would take surroundings ever further off with ever less of
+    it.
+    """
+    T, unit = d["temperature"], d.unit("temperature")
+    coldest = COLDEST if T.min() > COLDEST else 0.0
+    hottest = max(HOTTEST, 2 * float(T.max()))
+    return round(in_unit(coldest, unit)), round(in_unit(hottest, unit))
 
 
 def _starts(d: Draft) -> dict[str, float | None]:

@@ -9,6 +9,7 @@ import pytest
 
 import casid
 from casid.data.templates.new_problem import TEMPLATES
+from casid.estimation.simulation.fit import FitSettings, fit_model
 from tests.support.template_systems import SYSTEMS
 
 
@@ -138,7 +139,7 @@ def test_surroundings_that_a_record_does_not_show_start_at_its_coldest_to_be_che
     box = 25 + 0.1 * np.maximum(t - 30, 0) ** 1.05
     data = written_for(tmp_path, "time [s],heater_on,T [degC]", t, (t > 30).astype(float), box)
     found = casid.new_problem(data, "thermal", known={"P_max": 120.0})
-    assert 'm.parameter("T_a", "degC", start=25)' in found.text
+    assert 'm.parameter("T_a", "degC", start=25, lower=-100, upper=2000)' in found.text
     assert any(
         "temperature of the surroundings; the start is a guess" in c for c in found.checks.values()
     )
@@ -287,3 +288,40 @@ def test_a_gain_from_an_input_whose_unit_is_a_product_has_a_unit_of_one_reading(
     found = casid.new_problem(data, "free", tmp_path / "run.py")
     assert '"rpm/(N' in found.text or "rad" in found.text
     assert casid.load_problem(tmp_path / "run.py").model.outputs
+
+
+def heater(tmp_path: Path, unit: str, zero: float) -> Path:
+    """A lump of 230 J/K that loses 1.2 W/K to surroundings of 22 degC; its sensor lags by 30 s."""
+    t = np.arange(380.0)
+    power = 50 + 50 * np.sin(2 * np.pi * t / 300)
+    lump, sensor, T = 22.0, 22.0, np.empty(t.size)
+    for k, heat in enumerate(power):
+        T[k] = sensor
+        lump += (heat - 1.2 * (lump - 22.0)) / 230.0
+        sensor += (lump - sensor) / 30.0
+    T += zero + 0.05 * np.random.default_rng(1).standard_normal(t.size)
+    return written_for(tmp_path, f"time [s],P [W],T1{unit}", t, power, T)
+
+
+@pytest.mark.parametrize(
+    ("unit", "zero", "taken"), [("", 0.0, "degC"), ("", 273.15, "K"), (" [K]", 273.15, "K")]
+)
+def test_a_temperature_without_a_unit_has_the_one_that_its_numbers_fit(
+    tmp_path: Path, unit: str, zero: float, taken: str
+) -> None:
+    """From 22 upwards is no absolute temperature: a law of T^4 or T_a in K would be far off."""
+    new = casid.new_problem(heater(tmp_path, unit, zero), "thermal")
+    assert new.channels["temperature"] == f"'T1{unit}' [{taken}]"
+    doubt = f"the file gives no unit; taken as {taken}"
+    assert (doubt in "\n".join(new.checks.values())) is (not unit)
+
+
+def test_surroundings_that_a_record_does_not_show_end_at_a_bound(tmp_path: Path) -> None:
+    """Ever colder with ever less loss is a constant heat flow: without an end, no minimum."""
+    data = heater(tmp_path, " [K]", 273.15)
+    new = casid.new_problem(data, "thermal", tmp_path / "lump.py")
+    assert 'T_a = m.parameter("T_a", "K", start=295, lower=173, upper=2273)' in new.text
+    problem = casid.load_problem(tmp_path / "lump.py")
+    fit = fit_model(problem.model, [problem.read(data)], FitSettings(starts=1))
+    assert fit.values["T_a"] == pytest.approx(173, abs=0.1)
+    assert fit.solution.at_lower == ("T_a",)
