@@ -132,7 +132,7 @@ def _mean_slopes(
     sizes = _gains(np.concatenate([b0, b1, *inside, dd]))
     nx, ny = len(e.states), len(e.outputs)
     b0, b1, inside, dd = np.split(sizes, [nx, 2 * nx, len(sizes) - ny])
-    inside = inside.reshape(-1, nx, len(e.inputs))
+    inside = inside.reshape(2 * criterion.substeps - 1, nx, len(e.inputs))
     return disturbed, e, (a.mean(axis=1), b0, b1, inside, c.mean(axis=1), dd)
 
 
