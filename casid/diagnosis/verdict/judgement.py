@@ -41,6 +41,7 @@ from casid.diagnosis.verdict.remainder import (
     NoiseFound,
     Remaining,
     moved_parameters,
+    over_floors,
     what_remains,
 )
 from casid.diagnosis.verdict.sentences import verdict_sentence
@@ -111,14 +112,13 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     part = held if held.get("extended_rmse") else fitted
     # What is held out has another disturbance in it, but one that its past foretells.
     is_random = is_beside and _is_foretold(found, remainder)
-    counted = fitted if is_random else part
     causes = causes_of(found, extended or baseline, problem.columns())
     negated = partial(_with_the_sign, found)
     remaining = _remaining(
         found,
         negated(causes),
-        counted,
-        counted is held,
+        fitted,
+        held,
         extended or baseline,
         remainder,
         false_alarm_rate,
@@ -204,8 +204,8 @@ def _by_estimates(found: Findings, held: Errors, baseline: Estimate) -> Mapping[
 def _remaining(
     found: Findings,
     causes: Sequence[Cause],
-    part: Mapping[str, Mapping[str, float]],
-    is_held: bool,
+    fitted: Errors,
+    held: Errors,
     estimate: Estimate,
     remainder: Remainder | None,
     false_alarm_rate: float,
@@ -213,8 +213,9 @@ def _remaining(
     is_random: bool,
 ) -> Remaining | None:
     """How much the causes explain, and whether what they leave is noise, or random at least."""
+    part = fitted if is_random or not held.get("extended_rmse") else held
     chance: dict[str, float] = {}
-    if is_held:
+    if part is held:
         split, floor = found.baseline.split, part["noise_floor"]
         of = partial(chance_over_floor, found.best_fit, estimate.covariance, found.at, split, floor)
         attempt = found.search.attempts.attempt
@@ -230,6 +231,7 @@ def _remaining(
             is_random=is_random and remainder is not None and bool(remainder.disturbances),
             is_of_inputs=_has_input_noise(found.at),
             chance=chance,
+            held_out=over_floors(held) if part is fitted else {},
         ),
     )
 

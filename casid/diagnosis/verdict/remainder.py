@@ -75,12 +75,26 @@ class NoiseFound:
     is_random : the remainder is a disturbance, and no deficiency of the model.
     is_of_inputs : noise of measured inputs was found, which colours a residual.
     chance : output -> how far above the floor its error may be by chance (`chance_over_floor`).
+    held_out : output -> the error of what was held out over its floor, where the errors that count
+        are those of the fitted part.
     """
 
     coloured: Mapping[str, str] = field(default_factory=dict)
     is_random: bool = False
     is_of_inputs: bool = True
     chance: Mapping[str, float] = field(default_factory=dict)
+    held_out: Mapping[str, float] = field(default_factory=dict)
+
+    def further_off(self, over: Mapping[str, float]) -> str:
+        """The output that is `JUDGING.unlike` times as far off where it was held out, or empty.
+
+        Parameters
+        ----------
+        over : output -> its error over its floor, in the fitted part.
+        """
+        limits = {o: JUDGING.unlike * max(ratio, 1.0) for o, ratio in over.items()}
+        held = {o: r for o, r in self.held_out.items() if r > limits.get(o, math.inf)}
+        return max(held, key=lambda o: held[o]) if held else ""
 
     @property
     def coloured_by(self) -> str:
@@ -168,17 +182,14 @@ def what_remains(
     -------
     None where no output has both an error and a noise floor.
     """
-    baseline, floor = part.get("baseline_rmse", {}), part.get("noise_floor", {})
-    extended = part.get("extended_rmse") or baseline
-    outputs = [o for o in extended if o in baseline and floor.get(o, 0.0) > 0]
-    outputs = [o for o in outputs if math.isfinite(baseline[o]) and math.isfinite(extended[o])]
-    if not outputs:
+    over = over_floors(part)
+    if not over:
         return None
-    before = sum(max((baseline[o] / floor[o]) ** 2 - 1, 0.0) for o in outputs)
-    after = sum(max((extended[o] / floor[o]) ** 2 - 1, 0.0) for o in outputs)
+    baseline, floor = part["baseline_rmse"], part["noise_floor"]
+    before = sum(max((baseline[o] / floor[o]) ** 2 - 1, 0.0) for o in over)
+    after = sum(max(ratio**2 - 1, 0.0) for ratio in over.values())
     left = min(after / before, 1.0) if before > 0 else 0.0
     explained = tuple(Explained(k, w, share * (1 - left)) for k, w, share in shares)
-    over = {o: extended[o] / floor[o] for o in outputs}
     return Remaining(
         explained=explained,
         unexplained=left,
@@ -188,6 +199,23 @@ def what_remains(
         sentence=_sentence(explained, left, over)
         + _kind_of_remainder(over, p_value, false_alarm_rate, noise or NoiseFound()),
     )
+
+
+def over_floors(part: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Output -> its error with the causes, or as it is without any, over its noise floor.
+
+    Parameters
+    ----------
+    part : as for `what_remains`.
+    """
+    baseline, floor = part.get("baseline_rmse", {}), part.get("noise_floor", {})
+    extended = part.get("extended_rmse") or baseline
+    outputs = [o for o in extended if o in baseline and floor.get(o, 0.0) > 0]
+    return {
+        o: extended[o] / floor[o]
+        for o in outputs
+        if math.isfinite(baseline[o]) and math.isfinite(extended[o])
+    }
 
 
 def _sentence(explained: tuple[Explained, ...], left: float, over: Mapping[str, float]) -> str:
@@ -213,6 +241,13 @@ def _kind_of_remainder(
     is_more = p_value is not None and p_value < alpha
     above = [o for o, ratio in over.items() if ratio > JUDGING.at_floor]
     is_above = any(over[o] > noise.chance.get(o, 0.0) for o in above)
+    far = noise.further_off(over) if noise.is_random else ""
+    if far:
+        return (
+            " So much for the fitted part, whose remainder passes for a random disturbance; held "
+            f"out, the error of {far} is {noise.held_out[far]:.3g} times its noise floor: the "
+            "disturbance was larger there, or the model does not hold there."
+        )
     if noise.is_random and (is_more or is_above):
         return " The remainder is a random disturbance, not an error of the model."
     if is_more:

@@ -114,6 +114,24 @@ def test_what_a_random_disturbance_leaves_is_no_unexplained_misfit():
     assert "unexplained" not in r.sentence
 
 
+@pytest.mark.parametrize(
+    ("held", "is_said"), [({}, False), ({"y": 1.4}, False), ({"y": 3.7}, True)]
+)
+def test_a_fitted_part_that_is_explained_does_not_speak_for_a_held_out_one_that_is_not(
+    held: dict[str, float], is_said: bool
+) -> None:
+    """A converter's mode and a knock fitted to one step, and nearly four times the floor later."""
+    part = {
+        "baseline_rmse": {"y": 0.161},
+        "extended_rmse": {"y": 0.069},
+        "noise_floor": {"y": 0.069},
+    }
+    noise = NoiseFound(is_random=True, held_out=held)
+    r = what_remains([("missing_mode", "current", 1.0)], part, p_value=0.013, noise=noise)
+    assert ("held out, the error of y is 3.7 times its noise floor" in r.sentence) is is_said
+    assert ("not an error of the model" in r.sentence) is not is_said
+
+
 def test_an_error_below_the_floor_is_no_negative_excess():
     part = {
         "baseline_rmse": {"gyro": 0.9},
