@@ -5,7 +5,7 @@ from __future__ import annotations
 import keyword
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +27,7 @@ from casid.model.units import parse_unit, unit_aliases
 _HELD = 0.5  # heuristic: in a held command more samples than these repeat the one before ...
 _STEP = 0.05  # ... and the others move by more than this share of its spread: no quantisation
 _COUNTING = 0.99  # of the steps of a column that counts rows, at least, are the same; heuristic
+_COPY = 1e-6  # of its largest deviation: a column of seven digits computed from another; heuristic
 _NO_NAMES = {*keyword.kwlist, "m", "t", "casid", "ca", "problem"}  # of a problem file's own
 _WHY = {"empty": "it is empty", "text": "it holds no numbers", "time": "it holds times"}
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"})
@@ -63,6 +64,14 @@ class FileChannel:
             return self
         parsed = parse_unit(unit)
         return replace(self, unit=unit, values=self.values * parsed.factor + parsed.offset)
+
+    def is_copy_of(self, other: FileChannel) -> bool:
+        """True if it is a straight line of another channel that moves, but for rounding."""
+        x, y = (c.values - c.values.mean() for c in (other, self))
+        if not (x.any() and y.any()):
+            return False
+        slope = float(x @ y) / float(x @ x)
+        return bool(np.abs(y - slope * x).max() <= _COPY * np.abs(y).max())
 
     @property
     def is_constant(self) -> bool:
@@ -138,6 +147,24 @@ class FileChannels(NamedTuple):
         return self._replace(
             channels=tuple(c.in_unit(units.get(c.column, "")) for c in self.channels)
         )
+
+    def without_copies(self, named: Collection[str]) -> FileChannels:
+        """The same without columns that are another one times a number, plus a number.
+
+        As further inputs they would have gains that nothing separates. A column that the user
+        named stays, then one with a unit, then the first of the file.
+        """
+        order = sorted(self.channels, key=lambda c: (c.column not in named, c.unit is None))
+        kept: list[FileChannel] = []
+        left_out = dict(self.left_out)
+        for c in order:
+            of = next((k for k in kept if c.column not in named and c.is_copy_of(k)), None)
+            if of is None:
+                kept.append(c)
+            else:
+                left_out[c.column] = f"it is {of.column!r} on another scale"
+        channels = tuple(c for c in self.channels if c in kept)
+        return self._replace(channels=channels, left_out=left_out)
 
     def column(self, column: str, signal: str) -> FileChannel:
         """The channel of a column that is to be `signal`.

@@ -172,6 +172,7 @@ def _draft(
     clock = names.pop(_CLOCK, None)
     time = None if clock is None else ColumnSpec(clock[0], clock[1], "s")
     file = file_channels(data, time, [(c, unit) for c, unit in names.values() if unit], form)
+    file = file.without_copies({column for column, _ in names.values()})
     roles = {role.name: role for role in template.roles(file)}
     columns = _columns(template, file, roles, names)
     likely = {c.column: roles[n].likely_unit(c) for n, c in columns.items() if c.unit is None}

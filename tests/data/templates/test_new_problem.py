@@ -325,3 +325,18 @@ def test_surroundings_that_a_record_does_not_show_end_at_a_bound(tmp_path: Path)
     fit = fit_model(problem.model, [problem.read(data)], FitSettings(starts=1))
     assert fit.values["T_a"] == pytest.approx(173, abs=0.1)
     assert fit.solution.at_lower == ("T_a",)
+
+
+def test_a_column_computed_from_another_is_no_signal_of_its_own(tmp_path: Path) -> None:
+    """Of a rudder angle, its negative and the same in rad, the gains would not be separable."""
+    t, rudder, heading = waves(2)
+    columns = (rudder, -rudder, np.radians(rudder) + 0.1, heading)
+    data = written_for(tmp_path, "time [s],rudder,-rudder,delta [rad],heading", t, *columns)
+    found = casid.new_problem(data, "free")
+    assert set(found.channels) == {"delta", "heading"}  # the one that has a unit
+    copy = "it is 'delta [rad]' on another scale"
+    assert found.left_out == {"rudder": copy, "-rudder": copy}
+    found = casid.new_problem(data, "free", mapping={"rudder": "rudder:deg"})
+    assert found.left_out == dict.fromkeys(
+        ("-rudder", "delta [rad]"), "it is 'rudder' on another scale"
+    )
