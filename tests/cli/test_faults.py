@@ -242,7 +242,9 @@ def children(pid: int) -> set[int]:
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are counted in /proc")
-@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "kind", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
+)
 def test_workers_end_with_the_command(tmp_path: Path, kind: signal.Signals) -> None:
     command = [sys.executable, "-m", "casid", "montecarlo", roll_decay.__file__, "--runs", "9999"]
     command += ["--starts", "1", "--jobs", "2", "--out", str(tmp_path / "study")]

@@ -534,7 +534,12 @@ def test_an_interrupted_command_says_so_and_leaves_nothing(here: Path) -> None:
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize(
     ("command", "after"),
-    [("identify", 0.0), ("identify", 0.29), ("diagnose", 0.13), ("diagnose", 0.61)],
+    [
+        ("identify", 0.29),
+        pytest.param("identify", 0.0, marks=pytest.mark.slow),
+        pytest.param("diagnose", 0.13, marks=pytest.mark.slow),
+        ("diagnose", 0.61),
+    ],
 )
 def test_a_fit_ends_at_ctrl_c_wherever_it_is(here: Path, command: str, after: float) -> None:
     """CasADi's solvers take it for a failed evaluation, and a million starts would go on."""

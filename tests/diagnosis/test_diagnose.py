@@ -83,7 +83,7 @@ HIDDEN = [
     ("cubic_stiffness", 1.2, 102, None),
     ("sensor_bias", 1.2, 103, None),
     ("extra_input", 1.2, 105, None),
-    ("parameter_jump", 1.2, 106, "m"),
+    pytest.param("parameter_jump", 1.2, 106, "m", marks=pytest.mark.slow),
     ("parameter_jump", 1.2, 206, "k"),
     ("saturation", 1.2, 301, None),
     ("outliers", 1.2, 108, None),

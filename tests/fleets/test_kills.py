@@ -97,6 +97,7 @@ def test_the_main_process_is_killed_at_random_moments(
     assert contents(out) == undisturbed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1])
 def test_a_worker_of_a_cluster_is_killed_at_a_random_moment(
     heaters: Path, undisturbed: list[object], tmp_path: Path, seed: int

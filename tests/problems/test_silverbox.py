@@ -131,7 +131,14 @@ def test_the_record_is_read_without_a_mapping_and_its_clock_is_the_generators(me
     assert measured.record.Ts == pytest.approx(silverbox.TS, rel=1e-7)
 
 
-@pytest.mark.parametrize(("hold", "hardens"), [("zoh", False), ("foh", False), ("foh", True)])
+@pytest.mark.parametrize(
+    ("hold", "hardens"),
+    [
+        pytest.param("zoh", False, marks=pytest.mark.slow),
+        ("foh", False),
+        pytest.param("foh", True, marks=pytest.mark.slow),
+    ],
+)
 def test_first_fits_are_reproduced(measured, hold, hardens):
     """The first 40 000 samples fitted, 10 000 held out; within 3 % or below.
 

@@ -139,6 +139,7 @@ def test_a_disturbance_that_moves_the_rate_rounds_off_the_kink_of_a_quadratic_la
     assert [r.candidate.effect.kind for r in rivals] == ([] if is_told else ["quadratic_damping"])
 
 
+@pytest.mark.slow
 def test_of_a_bias_and_a_gain_about_where_a_level_stays_the_bias_is_named() -> None:
     """A h' = q - c sqrt(h) has the gain 1 + s in h with (1 + s) A and sqrt(1 + s) c.
 
