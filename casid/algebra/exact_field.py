@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from casid.algebra import elimination
+from casid.algebra.factoring import factored
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 
@@ -32,10 +33,9 @@ class ExactField:
 
     def expressions(self, values: Array) -> Array:
         """Elements as sympy expressions, factored."""
-        import sympy
 
         domain = self.domain
-        made = [sympy.factor(domain.to_sympy(domain.convert(v))) for v in values.ravel()]
+        made = [factored(domain.to_sympy(domain.convert(v))) for v in values.ravel()]
         return _objects(made).reshape(values.shape)
 
 

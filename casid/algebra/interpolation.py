@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from casid.algebra.factoring import factored
 from casid.algebra.prime_field import null_space, random_prime, to_rational
 from casid.algebra.rational_degrees import univariate_degrees
 from casid.arrays import Array
@@ -77,7 +78,7 @@ def _factored(variables: tuple[str, ...], terms: tuple[tuple[Monomial, Fraction]
             for e, c in terms
         )
     )
-    return sympy.factor(total) if len(terms) <= LONGEST_FACTORED else total
+    return factored(total) if len(terms) <= LONGEST_FACTORED else total
 
 
 def _power_product(variables: Sequence[str], exponents: Monomial, values: Mapping[str, int]) -> int:

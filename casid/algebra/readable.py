@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any, TypeAlias
 
+from casid.algebra.factoring import factored
+
 Expr: TypeAlias = Any  # a sympy expression
 
 
@@ -14,7 +16,7 @@ def neat(expression: Expr, by: set[Expr]) -> Expr:
 
     if not expression.is_rational_function(*expression.free_symbols):
         return sympy.powdenest(expression)
-    top, bottom = sympy.fraction(sympy.factor(sympy.together(expression)))
+    top, bottom = sympy.fraction(factored(sympy.together(expression)))
     return sympy.Mul(*(_grouped(f, by) for f in sympy.Mul.make_args(top))) / bottom
 
 
@@ -27,7 +29,7 @@ def _grouped(expression: Expr, by: set[Expr]) -> Expr:
         return expression
     return sympy.Add(
         *(
-            sympy.factor(c) * sympy.Mul(*(s**n for s, n in zip(inside, powers, strict=True)))
+            factored(c) * sympy.Mul(*(s**n for s, n in zip(inside, powers, strict=True)))
             for powers, c in sympy.Poly(expression, *inside).terms()
         )
     )
@@ -39,7 +41,7 @@ def tidy(constant: Expr, theta: Expr, moving: set[Expr]) -> Expr:
 
     if not constant.is_rational_function(*constant.free_symbols):
         constant = sympy.powsimp(constant)
-    parts = [f.as_base_exp() for f in sympy.Mul.make_args(sympy.factor(constant))]
+    parts = [f.as_base_exp() for f in sympy.Mul.make_args(factored(constant))]
     parts = [(base, e) for base, e in parts if (base**e).free_symbols & moving]
     if all(e.is_Rational for _, e in parts):
         parts = [(base, e * math.lcm(*(x.q for _, x in parts))) for base, e in parts]

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra.factoring import factored
 from casid.algebra.symbolic import exact
 from casid.arrays import Array
 from casid.errors import ModelError, nearest
@@ -311,7 +312,7 @@ class ClosedLoopView(Presented):
             return sympy.Integer(0)
         if num.degree() > den.degree():
             return sympy.oo
-        return sympy.factor(sympy.cancel(num.LC() / den.LC()))
+        return factored(sympy.cancel(num.LC() / den.LC()))
 
     @cached_property
     def _loop_function(self) -> Any:

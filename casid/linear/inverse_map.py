@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 import casadi as ca
 import numpy as np
 
+from casid.algebra.factoring import factored
 from casid.algebra.symbolic import exact, to_sympy
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError, SolveError, nearest
@@ -424,7 +425,7 @@ def continuous_form(equation: DifferenceEquation) -> dict[str, Any]:
         names |= {f"beta{k}[{u}]": (i, k) for k in range(n + 1)}
     kept = continuous_names(equation.transfer)
     return {
-        name: sympy.factor(sympy.cancel(images[place] / images[0, 0]))
+        name: factored(sympy.cancel(images[place] / images[0, 0]))
         for name, place in names.items()
         if name in kept
     }
@@ -475,7 +476,7 @@ def closed_form(
         solutions = sympy.solve(equations, unknowns, dict=True)
         full = [s for s in solutions if set(s) == set(unknowns)]
         if full:
-            found = {str(u): sympy.factor(full[0][u]) for u in unknowns}
+            found = {str(u): factored(full[0][u]) for u in unknowns}
             return ClosedForm(found, tuple(choice))
     raise IdentifiabilityError(
         f"{equation.name}: {', '.join(free)} do not follow in closed form from "

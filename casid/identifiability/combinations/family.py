@@ -14,6 +14,7 @@ from fractions import Fraction
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
+from casid.algebra.factoring import factored
 from casid.algebra.readable import neat, tidy
 from casid.errors import IdentifiabilityError
 from casid.identifiability.combinations.null_direction import NullDirection
@@ -269,7 +270,7 @@ def _where_unchanged(direction: NullDirection, moving: set[Expr]) -> dict[str, t
         speed = direction.entries[n]
         if speed is None or n == direction.free:
             continue
-        top, _ = sympy.fraction(sympy.factor(speed) if speed.is_Add else speed)
+        top, _ = sympy.fraction(factored(speed) if speed.is_Add else speed)
         factors = [f.as_base_exp()[0] for f in sympy.Mul.make_args(top)]
         special = [f for f in factors if f.is_Add and not f.free_symbols & moving]
         if special:
@@ -312,7 +313,7 @@ def _formula_lines(found: Family) -> list[str]:
     for n, f in found.formulas.items():
         ratio = sympy.cancel(f / sympy.Symbol(n))
         if n != found.free and not ratio.has(sympy.Symbol(n)):
-            ratios[n] = sympy.factor(ratio)
+            ratios[n] = factored(ratio)
     shared = [r for r in ratios.values() if list(ratios.values()).count(r) > 1]
     lam = shared[0] if shared else None
     lines = [f"{found.free}' is free" + (f", {name} = {lam}" if lam is not None else "")]

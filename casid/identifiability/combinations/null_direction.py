@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from casid.algebra.factoring import factored
 from casid.algebra.interpolation import interpolate
 from casid.algebra.prime_field import echelon
 from casid.arrays import Array
@@ -73,7 +74,6 @@ class NullDirection(PickledByFields):
         IdentifiabilityError
             If that parameter does not change, or at a rate that was not found.
         """
-        import sympy
 
         if free not in self.entries:
             raise IdentifiabilityError(
@@ -89,7 +89,7 @@ class NullDirection(PickledByFields):
 
         def divided(v: Expr) -> Expr:  # entries are products of factors: equal ones cancel
             quotient = v / speed
-            return sympy.factor(quotient) if v.is_Add or speed.is_Add else quotient
+            return factored(quotient) if v.is_Add or speed.is_Add else quotient
 
         entries = {n: None if v is None else divided(v) for n, v in self.entries.items()}
         return NullDirection(free, entries, self.initial_states)

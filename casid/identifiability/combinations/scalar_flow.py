@@ -13,6 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+from casid.algebra.factoring import factored
+
 Expr: TypeAlias = Any  # a sympy expression
 
 
@@ -70,7 +72,7 @@ class ScalarFlow:
         moved = ratio * (u - self.particular) + new(self.particular) + new(self._mu) * logs
         if self.power == 1:
             return moved
-        return self.theta * sympy.factor(moved / u) ** (1 / self.power)
+        return self.theta * factored(moved / u) ** (1 / self.power)
 
     @property
     def _mu(self) -> Expr:
@@ -120,7 +122,7 @@ def rational_integral(
 
     if not expression.is_rational_function(z):
         return None
-    top, bottom = sympy.fraction(sympy.factor(sympy.together(expression)))
+    top, bottom = sympy.fraction(factored(sympy.together(expression)))
     unit, factors = sympy.factor_list(bottom, z)
     poles: list[tuple[Expr, Expr, Expr, int]] = []
     for base, multiplicity in factors:
@@ -135,15 +137,15 @@ def rational_integral(
         others = sympy.Mul(*(f**k for f, k in factors if f != base)) * unit
         g = sympy.cancel(remainder.as_expr() / others)
         for k in range(multiplicity):  # term base^(k - multiplicity)
-            c = sympy.factor(sympy.diff(g, z, k).subs(z, where) / sympy.factorial(k) / slope**k)
+            c = factored(sympy.diff(g, z, k).subs(z, where) / sympy.factorial(k) / slope**k)
             order = multiplicity - k
             if c == 0:
                 continue
             if order == 1:
-                logs.append((base, sympy.factor(c / slope)))
+                logs.append((base, factored(c / slope)))
             else:
                 whole += c / (slope * (1 - order) * base ** (order - 1))
-    return sympy.factor(whole), tuple(logs)
+    return factored(whole), tuple(logs)
 
 
 def _powers_of(v: Expr, theta: Expr, z: Expr) -> dict[Expr, Expr] | None:
@@ -152,13 +154,13 @@ def _powers_of(v: Expr, theta: Expr, z: Expr) -> dict[Expr, Expr] | None:
 
     if not v.is_rational_function(theta, z):
         return None
-    top, bottom = sympy.fraction(sympy.factor(sympy.together(v)))
+    top, bottom = sympy.fraction(factored(sympy.together(v)))
     below = sympy.Poly(bottom, theta)
     if len(below.terms()) > 1:
         return None
     shift, scale = below.terms()[0][0][0], below.terms()[0][1]
     return {
-        sympy.Integer(power - shift): sympy.factor(c / scale)
+        sympy.Integer(power - shift): factored(c / scale)
         for (power,), c in sympy.Poly(top, theta).terms()
         if c != 0
     }
@@ -175,7 +177,7 @@ def _particular(
     if exponential == 0 and all(e.is_integer for _, e in bases):
         mu = sympy.Mul(*(base**e for base, e in bases))
         found = rational_integral(b / mu, z)
-        return None if found is None else (sympy.factor(found[0] * mu), found[1])
+        return None if found is None else (factored(found[0] * mu), found[1])
     if exponential == 0 and len(bases) == 1:
         return _power_rule(b, z, *bases[0])
     slope = sympy.diff(exponential, z)
@@ -184,7 +186,7 @@ def _particular(
         while left != 0:
             terms.append(left / slope**k)
             left, k = sympy.diff(left, z), k + 1
-        return sympy.factor(-sympy.Add(*terms)), ()
+        return factored(-sympy.Add(*terms)), ()
     return None
 
 
@@ -201,8 +203,8 @@ def _power_rule(
         return None
     total = sympy.Integer(0)
     for k, c in powers.items():
-        divisor = sympy.factor(slope * (k - exponent + 1))
+        divisor = factored(slope * (k - exponent + 1))
         if divisor == 0:
             return None
         total += c * base ** (k + 1) / divisor
-    return sympy.factor(total), ()
+    return factored(total), ()

@@ -15,6 +15,7 @@ import numpy as np
 
 from casid.algebra import prime_field
 from casid.algebra.elimination import row_echelon
+from casid.algebra.factoring import factored
 from casid.algebra.interpolation import interpolate
 from casid.arrays import Array
 from casid.errors import ModelError
@@ -155,9 +156,8 @@ def _eliminated(independent: Any, pivots: Sequence[int]) -> Any:
 
 def tidy(expression: Expr) -> Expr:
     """The expression over one denominator, both factored; left as it is where that is too long."""
-    import sympy
 
-    return expression if expression.count_ops() > LONGEST else sympy.factor(expression)
+    return expression if expression.count_ops() > LONGEST else factored(expression)
 
 
 class _Entries:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra.factoring import factored
 from casid.linear.closed_loop import ClosedLoopView
 from casid.report.document import Document, Lines
 
@@ -139,17 +140,16 @@ def fraction_text(entry: Algebra, p: Algebra) -> tuple[str, str]:
     if entry.has(sympy.oo, sympy.zoo):
         return "infinite", "1"
     num, den = (sympy.Poly(e, p) for e in sympy.fraction(sympy.cancel(entry)))
-    if sympy.factor(den.LC()).could_extract_minus_sign():
+    if factored(den.LC()).could_extract_minus_sign():
         num, den = -num, -den
     return _polynomial(num), _polynomial(den)
 
 
 def _polynomial(q: Algebra) -> str:
-    import sympy
 
     text = ""
     for (power,), value in q.terms():
-        coefficient = sympy.factor(value)
+        coefficient = factored(value)
         negative = bool(coefficient.could_extract_minus_sign())
         coefficient = -coefficient if negative else coefficient
         written = str(coefficient)

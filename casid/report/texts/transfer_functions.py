@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from casid.algebra.factoring import factored
 from casid.errors import ModelError
 from casid.linear.linear_model import TransferMatrix
 from casid.report.document import Document, Lines
@@ -58,9 +59,9 @@ def _written(polynomial: Algebra, s: Algebra) -> str:
 
     terms = []
     for (power,), coefficient in sympy.Poly(polynomial, s).terms():
-        factored = sympy.factor(coefficient)
+        made = factored(coefficient)
         letter = ("", str(s))[power] if power < 2 else f"{s}^{power}"
-        text = f"({factored})" if factored.is_Add and letter else str(factored)
+        text = f"({made})" if made.is_Add and letter else str(made)
         text = text[:-1] + letter if letter and text in ("1", "-1") else f"{text} {letter}".strip()
         terms.append(text)
     return " + ".join(terms).replace("**", "^").replace("+ -", "- ")

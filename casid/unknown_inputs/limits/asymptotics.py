@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra.factoring import factored
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.presentation import Presented
@@ -151,4 +152,4 @@ def _plain(value: Any) -> Any:
 def _factored(value: Any) -> Any:
     import sympy
 
-    return sympy.factor(sympy.cancel(sympy.nsimplify(value, rational=True)))
+    return factored(sympy.cancel(sympy.nsimplify(value, rational=True)))

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from casid.algebra.factoring import factored
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.confounders import Confounder, confounders, confounders_in
 from casid.unknown_inputs.networks.elimination import immerse
@@ -219,4 +220,4 @@ def _symbolic(
     )
     j, i = module
     found = _reduced(symbolic, j, chosen, sets).module(j, i)
-    return str(sympy.factor(found.expression())) if hasattr(found, "expression") else str(found)
+    return str(factored(found.expression())) if hasattr(found, "expression") else str(found)
