@@ -35,6 +35,7 @@ from casid.diagnosis.evidence.prewhitening import (
     Weighted,
     minus_log_likelihood,
     not_below,
+    within_bounds,
 )
 from casid.diagnosis.evidence.recorded_channels import recorded_beside, with_unused_columns
 from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
@@ -279,8 +280,7 @@ class Screen:
             size = np.sqrt(np.maximum(np.einsum("ij,ij->j", white[:, 1:], white[:, 1:]), TINY))
             step = np.linalg.lstsq(white[:, 1:] / size, white[:, 0], rcond=None)[0] / size
             left = (residual - columns @ step).reshape(shape)
-            lower, upper = ([getattr(v, side) for v in at.variables] for side in ("lower", "upper"))
-            moved = np.clip(x + step[: len(x)], lower, upper)
+            moved = within_bounds(at, x + step[: len(x)])
             of = [left / at.weights]
             noise = estimate_noise(at, moved, known=self.problem.noise, residuals=of)
             noise = with_disturbance_spectra(

@@ -155,7 +155,7 @@ class Weighing:
         like = extended.criterion
         criterion = self.criterion(bare.model, extended.full, values, like)
         use_samples_of(criterion, bare.criterion)
-        x = _within_bounds(criterion, np.array([values[name] for name in criterion.names]))
+        x = within_bounds(criterion, np.array([values[name] for name in criterion.names]))
         if not np.isfinite(criterion.evaluate(x).value):
             return bare
         at = replace(bare, fit=_moved(bare.fit, criterion, x), full=extended.full, unbiased=None)
@@ -244,7 +244,7 @@ class Weighing:
             step = -np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
             there = x.copy()
             there[initial] += step
-            there = _within_bounds(criterion, there)
+            there = within_bounds(criterion, there)
             x = there if criterion.evaluate(there).value < here.value else x
         return replace(at, fit=_moved(at.fit, criterion, x), noise=at.full)
 
@@ -303,10 +303,8 @@ class Weighing:
         limit = max(PREWHITENING.absorbs_misfit**2, 1 + PREWHITENING.absorbs_spreads * spread)
         noise_absorbs_misfit = ratio > limit and not self.takes_disturbances
         if noise_absorbs_misfit and (alone := self._without_forces(fit, full)) is not None:
-            input_sd = {
-                name: share * sd for name, sd in self.input_sd(alone, fit.criterion).items()
-            }
-            return Weighted(fit.criterion.model, fit, alone, alone, input_sd, False)
+            full, noise_absorbs_misfit = alone, False
+            input_sd = {n: share * sd for n, sd in self.input_sd(full, fit.criterion).items()}
         return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
 
     def _without_forces(self, fit: Fit, full: NoiseModel) -> NoiseModel | None:
@@ -441,7 +439,8 @@ def _is_at_bound(v: Variable, value: float) -> bool:
     return bool(not v.lower + near < value < v.upper - near)
 
 
-def _within_bounds(criterion: SimulationError, x: Array) -> Array:
+def within_bounds(criterion: SimulationError, x: Array) -> Array:
+    """A point (n,), each variable moved to its bound where it lies beyond."""
     low, high = ([getattr(v, side) for v in criterion.variables] for side in ("lower", "upper"))
     return np.clip(x, low, high)
 
