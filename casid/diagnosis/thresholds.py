@@ -928,6 +928,30 @@ class Foresight:
 
 
 @dataclass(frozen=True, slots=True)
+class Disturbed:
+    """When a random disturbance is all that a model leaves."""
+
+    looked_at: int = _is(
+        6,
+        "effects that score best, beside a disturbance and under the sensors' noise, whose gain "
+        "beside a disturbance is computed",
+        f"{TESTS}/search/test_disturbance_alone.py",
+    )
+    followed: float = _is(
+        0.5,
+        "of the gain in log-likelihood that decides: an effect that gains less in a first step, of "
+        "two, is not followed up",
+        "analysis.fleet",
+    )
+    share: float = _is(
+        0.6,
+        "of the gain that pays for an effect, below which no search is made: a step gains more "
+        "than that of what a refit does (nulls of the park 0.3 to 0.6, causes above 3)",
+        f"{TESTS}/search/test_disturbance_alone.py",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Growth:
     """By how much more a model may err that is fitted beside a disturbance than one that is not."""
 
@@ -1128,6 +1152,7 @@ TERMS = Terms()
 DESCRIPTION = Description()
 SMOOTHING = Smoothing()
 FORESIGHT = Foresight()
+DISTURBED = Disturbed()
 GROWTH = Growth()
 JUDGING = Judging()
 PLANNING = Planning()
@@ -1159,6 +1184,7 @@ GROUPS = (
     DESCRIPTION,
     SMOOTHING,
     FORESIGHT,
+    DISTURBED,
     GROWTH,
     JUDGING,
     PLANNING,

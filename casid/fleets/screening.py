@@ -19,7 +19,7 @@ are spoilt or too few, or its outputs are noise alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,12 +30,11 @@ from casid.data.arguments import in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.corrupted_samples import without_corrupted
+from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
 from casid.diagnosis.evidence.prewhitening import (
     Weighing,
     Weighted,
-    minus_log_likelihood,
     not_below,
-    within_bounds,
 )
 from casid.diagnosis.evidence.recorded_channels import recorded_beside, with_unused_columns
 from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
@@ -45,7 +44,6 @@ from casid.diagnosis.evidence.spectral_peaks import find_peaks
 from casid.diagnosis.evidence.sufficiency import fewest_samples, why_uninformative
 from casid.diagnosis.thresholds import PEAKS
 from casid.errors import CasidError, DataError
-from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import errors
 from casid.estimation.holdout import split_records
 from casid.estimation.noise import estimate_noise
@@ -53,7 +51,6 @@ from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.varying_response import with_varying_response
 from casid.fleets.thresholds import SCREENING
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.user_effects import user_effects
@@ -184,12 +181,18 @@ class Screen:
             beside = self._beside_disturbances(record, criterion, x)
             if beside is not None:
                 return beside
+        plain = criterion
         criterion = base.of_records(
             [record], weights=base.weights, whiten=at.full.whiten, start=fit.values
         )
         own_fit = _minimum(criterion, at.input_sd)
         if own_fit is None:
             return Screened(0.0, _FAR)
+        if at.noise_absorbs_misfit:
+            # Far from the truth a residual may show no disturbance, which it shows next to it.
+            beside = self._beside_disturbances(record, plain, own_fit)
+            if beside is not None:
+                return beside
         found = self._scored(criterion, own_fit, at)
         if not at.noise_absorbs_misfit:
             return replace(found, p_value=min(found.p_value, self._lines(criterion, own_fit)))
@@ -224,72 +227,21 @@ class Screen:
             (i for i, s in enumerate(table.scores) if s.is_visible),
             key=lambda i: -table.scores[i].unrobust,
         )[: SCREENING.taken_out]
-        gain = self._gain_beside(bare, best, len(table.tested))
+        passing = 0.5 * float(
+            chdtri(1, SCREENING.share * self.level / (2 * max(len(table.tested), 1)))
+        )
+        gain = gain_beside(
+            bare,
+            self._columns(unwhitened(bare), x),
+            best,
+            known=self.problem.noise,
+            passing=passing,
+        )
         p = 2.0 * min(p, len(table.tested) * float(chdtrc(1, 2.0 * gain)))
         _, tangent = at.columns(x, 0)
         own = self._parameters(at, x, tangent)
         beside = self._lines(at, x, neighbours=_NEAR)
         return Screened(min(1.0, p, beside), "", own)
-
-    def _gain_beside(self, bare: Weighted, effects: Sequence[int], tests: int) -> float:
-        """The most that the log-likelihood gains where one effect explains a part of the residual.
-
-        Effects that gain little at first, by a disturbance that is only adjusted, are not followed
-        up.
-        """
-        at, x = bare.criterion, bare.fit.x
-        plain = at.of_records(at.experiments, weights=at.weights, start=bare.fit.values)
-        raw = self._columns(plain, x)
-        residual, columns, psi = raw.of_record(raw.wide.start, 0)
-
-        def likelihood(effect: int | None, rounds: int) -> float:
-            added = [] if effect is None else [raw.judged[effect]]
-            return self._likelihood_beside(
-                bare, residual, np.hstack([columns, psi[:, added]]), rounds
-            )
-
-        def gains(of: Sequence[int], rounds: int) -> list[float]:
-            nothing = likelihood(None, rounds)
-            return [nothing - likelihood(i, rounds) for i in of]
-
-        first = gains(effects, 1)
-        passing = 0.5 * float(chdtri(1, SCREENING.share * self.level / (2 * max(tests, 1))))
-        more = [i for i, g in zip(effects, first, strict=True) if g > SCREENING.followed * passing]
-        return max([0.0, *first, *(gains(more, 2) if more else [])])
-
-    def _likelihood_beside(
-        self, bare: Weighted, residual: Array, columns: Array, rounds: int
-    ) -> float:
-        """Minus the log-likelihood where an effect explains a part of the residual.
-
-        The disturbance is sought anew in what the effect leaves; the effect, with the parameters,
-        first under the disturbance of the model without it, then under that. Of a single round the
-        disturbance is the model's, adjusted.
-
-        Parameters
-        ----------
-        residual, columns : (M,) and (M, n) weighted, of the parameters and of the effect if any.
-        """
-        at, x, noise = bare.criterion, bare.fit.x, bare.noise
-        least = minus_log_likelihood(bare)
-        shape = (at.data[0].N, len(at.weights))
-        near = noise.spectra if rounds == 1 else None
-        for _ in range(rounds):
-            stack = np.column_stack([residual, columns]).reshape(*shape, -1)
-            white = noise.whiten(stack, 0).reshape(len(residual), -1)
-            size = np.sqrt(np.maximum(np.einsum("ij,ij->j", white[:, 1:], white[:, 1:]), TINY))
-            step = np.linalg.lstsq(white[:, 1:] / size, white[:, 0], rcond=None)[0] / size
-            left = (residual - columns @ step).reshape(shape)
-            moved = within_bounds(at, x + step[: len(x)])
-            of = [left / at.weights]
-            noise = estimate_noise(at, moved, known=self.problem.noise, residuals=of)
-            noise = with_disturbance_spectra(
-                noise, at, moved, self.problem.noise, residuals=of, near=near
-            )
-            noise = with_varying_response(noise, at, moved, residuals=of)
-            misfit = 0.5 * float(np.sum(noise.whiten(left[:, :, None], 0) ** 2))
-            least = min(least, misfit + 0.5 * noise.log_determinant(0, shape[0]))
-        return least
 
     def _lines(
         self,

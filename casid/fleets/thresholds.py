@@ -43,12 +43,6 @@ class Screening:
         "be as narrow, and fewer make the test's tail heavier",
         _STUDY,
     )
-    followed: float = _is(
-        0.5,
-        "of the gain in log-likelihood at which a record passes: an effect that gains less in a "
-        "first step, of two, is not followed up",
-        _STUDY,
-    )
     settled: float = _is(
         0.3,
         "standard errors that the last of them may be long; a record that is further away is "

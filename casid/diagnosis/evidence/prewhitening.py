@@ -123,6 +123,9 @@ class Weighing:
         for _ in range(rounds):
             criterion = self.criterion(model, found.full, found.fit.values, fit.criterion)
             found = self.estimated(self.minimum(criterion))
+        if self.takes_disturbances and found.full.spectra:
+            # Far from the truth a residual may show no disturbance, which it shows next to it.
+            return self._comparable(self.likeliest(model, found))
         at = self._without_bias(found) or found
         criterion = self.criterion(model, at.full, found.fit.values, fit.criterion)
         return replace(

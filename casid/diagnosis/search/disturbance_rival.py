@@ -30,10 +30,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 from scipy.stats import chi2
 
-from casid.arrays import TINY
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import (
     EXACT,
@@ -42,6 +40,7 @@ from casid.diagnosis.evidence.prewhitening import (
     minus_log_likelihood,
 )
 from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
+from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
 from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
@@ -70,17 +69,17 @@ def weighed_against_disturbances(
     bound under a disturbance, too: that leaves misfit of its own.
     """
     base, start = baseline.fit, baseline.start
-    held = _is_held(base)
+    held = is_held(base)
     if not start.noise_absorbs_misfit and (found.adopted or not held):
         return search, start, found
     settings.progress("compare what was found with a random disturbance in its place")
     again = search.with_disturbances()
     bare = search.under_disturbance(base)
     score_of = partial(_score, search=search, counted=bare.criterion)
-    if minus_log_likelihood(bare) > _as_white(base):
+    if minus_log_likelihood(bare) > as_white(base):
         return search, start, found
     start = replace(start, beside=bare)
-    if held and (bare.unbiased is None or _is_held(bare.unbiased)):
+    if held and (bare.unbiased is None or is_held(bare.unbiased)):
         return search, start, _significant(found, bare, search, start)
     if held and score_of(bare) >= score_of(start):
         return search, start, found
@@ -128,20 +127,6 @@ def _searched_beside(
     if not other.adopted:
         return other, math.inf
     return other, _score(other.at, other.adopted, search=again, counted=bare.criterion)
-
-
-def _as_white(fit: Fit) -> float:
-    """Minus the log-likelihood of a residual as white noise of its own size in each output.
-
-    A disturbance that is less likely than that is no explanation: its estimate went astray.
-    """
-    c = fit.criterion
-    parts = [np.where(d.used, c.simulated(fit.x, e).residual, 0.0) for e, d in enumerate(c.data)]
-    samples = np.sum([d.used.sum(axis=0) for d in c.data], axis=0)
-    squares = np.sum([np.sum(p**2, axis=0) for p in parts], axis=0)
-    seen = samples > 0
-    means = np.maximum(squares[seen] / samples[seen], TINY)
-    return float(0.5 * np.sum(samples[seen] * (1 + np.log(means))))
 
 
 def _beside(weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted) -> float:
@@ -226,10 +211,6 @@ def _is_significant(found: Adoption, search: Search) -> bool:
     return any(a.p_value < search.alpha for a in found.adopted)
 
 
-def _is_held(fit: Fit) -> bool:
-    return bool(fit.solution.at_lower or fit.solution.at_upper)
-
-
 def _charged(
     found: Adoption, bare: Weighted, search: Search, beside: float | None = None
 ) -> Adoption:
@@ -271,11 +252,11 @@ def _charge(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
     A disturbance has parameters as well: its variance, and those of its spectrum. A band narrower
     than a record resolves would otherwise be preferred to the line that it is there.
     """
-    table = search.first_table
-    choice = 2 * math.log(len(table.tested)) if table is not None and table.tested else 0.0
-    samples = math.log(at.criterion.n_samples)
+    tested = len(search.first_table.tested) if search.first_table is not None else 0
+    n = at.criterion.n_samples
     shapes = sum(2 + (s.damping is not None) for s in at.noise.spectra.values())
-    return shapes * samples + sum(a.candidate.effect.cost * samples + choice for a in adopted)
+    charged = sum(price_of(a.candidate.effect.cost, n, tested) for a in adopted)
+    return shapes * math.log(n) + charged
 
 
 def _add_refused(search: Search, rows: Sequence[tuple[Candidate, str]]) -> None:

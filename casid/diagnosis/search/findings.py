@@ -9,10 +9,12 @@ from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, name_of
+from casid.diagnosis.search.disturbance_alone import disturbance_alone
 from casid.diagnosis.search.disturbance_rival import weighed_against_disturbances
 from casid.diagnosis.search.promotion import with_likelier_rivals
 from casid.diagnosis.search.reconsideration import reconsidered
 from casid.diagnosis.search.record_specific import Specific, record_specific
+from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.search.simulation_errors import Soundness
@@ -73,12 +75,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
     if baseline.why_undecided:
         return Findings(baseline, search, baseline.start, negated_fit)
     fit, split, start = baseline.fit, baseline.split, baseline.start
-    found = adopt_causes(search, start, fit, split, settings.fit)
-    what = "the comparison of what was found with a random disturbance"
-    before = found
-    search, start, found = search.attempts.attempt(
-        what, lambda: weighed_against_disturbances(search, before, baseline, settings)
-    ) or (search, start, found)
+    search, start, found = _found(search, baseline, settings)
     baseline = replace(baseline, start=start)
     is_sound = Soundness(fit, split)
     if found.fit is not None and not is_sound(found.fit):
@@ -131,6 +128,24 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         found.remainders,
         corrected,
     )
+
+
+def _found(
+    search: Search, baseline: Baseline, settings: DiagnosisSettings
+) -> tuple[Search, Weighted, Adoption]:
+    """The search, the model as it is, and the causes that no random disturbance explains."""
+    fit, start, attempt = baseline.fit, baseline.start, search.attempts.attempt
+    what = "the test whether a random disturbance explains all that the model leaves"
+    alone = attempt(what, lambda: disturbance_alone(search, start, fit))
+    if alone is not None:
+        start = replace(start, beside=alone)
+        return search, start, Adoption((), start, None)
+    found = adopt_causes(search, start, fit, baseline.split, settings.fit)
+    what = "the comparison of what was found with a random disturbance"
+    compared = attempt(
+        what, lambda: weighed_against_disturbances(search, found, baseline, settings)
+    )
+    return compared or (search, start, found)
 
 
 def _with_likelihoods(search: Search, at: Weighted) -> Weighted:

@@ -118,6 +118,23 @@ def test_the_screening_takes_seas_for_seas(problem: casid.Problem, tmp_path: Pat
     assert screen(problem.read(biased)).p_value < 1e-6
 
 
+def test_a_sea_that_a_far_fit_hides_is_found_next_to_the_truth(
+    problem: casid.Problem, tmp_path: Path
+) -> None:
+    """Fitted without a disturbance, this voyage's damping is a quarter of what it is.
+
+    The residual there shows forces that are white; next to the truth it shows the band of the sea.
+    """
+    voyages = {v.name: v for v in plan(60, 4, seed=831)}
+    names = ("ship01_2024-01-15.parquet", "ship01_2024-02-05.parquet")
+    write([voyages[n] for n in names], tmp_path, 831)
+    calm, sea = (problem.read(tmp_path / n) for n in names)
+    own = casid.identify(problem, [calm])
+    values = {p.name: p.value for p in own.parameters if not p.known}
+    screen = Screen.of(problem, calm, values, level=0.05)
+    assert screen(sea).p_value > 0.05
+
+
 @pytest.mark.slow
 def test_the_short_study_meets_its_targets(tmp_path: Path) -> None:
     assert STUDY.main(["--quick", "--out", str(tmp_path)]) == 0

@@ -13,7 +13,8 @@ from scipy.signal import lfilter
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
 from casid.diagnosis.search.candidates import Adopted, Candidate
-from casid.diagnosis.search.disturbance_rival import _as_white, _beside, _each_beside
+from casid.diagnosis.search.disturbance_price import as_white
+from casid.diagnosis.search.disturbance_rival import _beside, _each_beside
 from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.settings import DiagnosisSettings
@@ -173,7 +174,7 @@ def test_a_residual_as_white_noise_has_the_gaussian_likelihood() -> None:
     fit = fit_model(hull().model, experiments, FitSettings(starts=1))
     residual = fit.criterion.simulated(fit.x, 0).residual
     expected = 0.5 * N * np.sum(1 + np.log(np.mean(residual**2, axis=0)))
-    assert _as_white(fit) == pytest.approx(expected, rel=1e-12)
+    assert as_white(fit) == pytest.approx(expected, rel=1e-12)
     assert minus_log_likelihood(
         Weighing(experiments).with_disturbances().weigh(hull().model, fit, rounds=1)
-    ) < _as_white(fit)
+    ) < as_white(fit)

@@ -1,0 +1,116 @@
+"""What an effect explains of a residual beside a random disturbance, by likelihoods.
+
+A disturbance with a spectrum of its own explains much of any residual, an effect's among it. An
+effect that is there leaves less for the disturbance to explain: its signature is taken out of the
+residual, with what the parameters explain of it, the disturbance is estimated anew in what is left,
+and the likelihoods of both are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import TINY, Array
+from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood, within_bounds
+from casid.diagnosis.evidence.signature_columns import Columns
+from casid.diagnosis.thresholds import DISTURBED
+from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.varying_response import with_varying_response
+
+
+def unwhitened(bare: Weighted) -> SimulationError:
+    """The criterion of a model under a disturbance, weighted alone, at the same point."""
+    at = bare.criterion
+    return at.of_records(at.experiments, weights=at.weights, start=bare.fit.values)
+
+
+def gain_beside(
+    bare: Weighted,
+    plain: Columns,
+    effects: Sequence[int],
+    *,
+    known: Mapping[str, float],
+    passing: float,
+) -> float:
+    """The most that the log-likelihood gains where one effect explains a part of the residual.
+
+    Effects that gain little at first, by a disturbance that is only adjusted, are not followed up.
+
+    Parameters
+    ----------
+    bare : a model under the disturbance that its residual shows.
+    plain : columns of the extended model at the same point (`unwhitened`).
+    effects : by their place among the effects of the columns.
+    known : channel -> standard deviation of its white noise, where it is known.
+    passing : the gain that decides.
+    """
+    parts = [plain.of_record(plain.wide.start, e) for e in range(len(plain.wide.data))]
+    residual, tangent, signatures = ([part[i] for part in parts] for i in range(3))
+    own = _Residual(bare, residual, known)
+
+    def gains(of: Sequence[int], rounds: int) -> list[float]:
+        nothing = own.minus_log_likelihood(tangent, rounds)
+        out = []
+        for i in of:
+            added = [s[:, [plain.judged[i]]] for s in signatures]
+            columns = [np.hstack(pair) for pair in zip(tangent, added, strict=True)]
+            out.append(nothing - own.minus_log_likelihood(columns, rounds))
+        return out
+
+    first = gains(effects, 1)
+    more = [i for i, g in zip(effects, first, strict=True) if g > DISTURBED.followed * passing]
+    return max([0.0, *first, *(gains(more, 2) if more else [])])
+
+
+@dataclass(frozen=True, slots=True)
+class _Residual:
+    """The residual of a model under a disturbance: (M,) weighted, of each record."""
+
+    bare: Weighted
+    parts: Sequence[Array]
+    known: Mapping[str, float]
+
+    def minus_log_likelihood(self, columns: Sequence[Array], rounds: int) -> float:
+        """Minus the log-likelihood where columns (M, n) of each record explain a part of it.
+
+        The disturbance is sought anew in what they leave; they, first under the disturbance of the
+        model without the effect, then under that. Of a single round the disturbance is the model's,
+        adjusted. The first columns are those of the model's own unknowns.
+        """
+        bare, at, noise = self.bare, self.bare.criterion, self.bare.noise
+        least = minus_log_likelihood(bare)
+        near = noise.spectra if rounds == 1 else None
+        shapes = [(d.N, len(at.weights)) for d in at.data]
+        for _ in range(rounds):
+            step = self._step(noise, columns)
+            left = [
+                (r - c @ step).reshape(shape)
+                for r, c, shape in zip(self.parts, columns, shapes, strict=True)
+            ]
+            x = within_bounds(at, bare.fit.x + step[: len(bare.fit.x)])
+            of = [part / at.weights for part in left]
+            noise = estimate_noise(at, x, known=self.known, residuals=of)
+            noise = with_disturbance_spectra(noise, at, x, self.known, residuals=of, near=near)
+            noise = with_varying_response(noise, at, x, residuals=of)
+            white = [noise.whiten(part[:, :, None], e) for e, part in enumerate(left)]
+            misfit = 0.5 * sum(float(np.sum(w**2)) for w in white)
+            logs = sum(noise.log_determinant(e, shape[0]) for e, shape in enumerate(shapes))
+            least = min(least, misfit + 0.5 * logs)
+        return least
+
+    def _step(self, noise: NoiseModel, columns: Sequence[Array]) -> Array:
+        """(n,) by how much the columns explain the residual best under a noise."""
+        ny = len(self.bare.criterion.weights)
+        parts = []
+        for e, (r, c) in enumerate(zip(self.parts, columns, strict=True)):
+            stack = np.column_stack([r, c]).reshape(-1, ny, 1 + c.shape[1])
+            parts.append(noise.whiten(stack, e).reshape(len(r), -1))
+        white = np.concatenate(parts)
+        size = np.sqrt(np.maximum(np.einsum("ij,ij->j", white[:, 1:], white[:, 1:]), TINY))
+        step = np.linalg.lstsq(white[:, 1:] / size, white[:, 0], rcond=None)[0]
+        return np.asarray(step / size)

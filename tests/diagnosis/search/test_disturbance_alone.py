@@ -1,0 +1,102 @@
+"""Nothing is sought where a random disturbance is all that a model leaves; a cause always is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import casid
+from casid.diagnosis.evidence import prewhitening
+from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.signature_columns import extended_columns
+from casid.diagnosis.search.disturbance_alone import disturbance_alone
+from casid.diagnosis.search.disturbance_price import price_of
+from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.thresholds import DISTURBED
+from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.holdout import split_records
+from casid.estimation.noise import NoiseModel
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.balance_effects import quadratic_damping
+from tests.diagnosis.search.test_disturbances import hull, record
+
+
+def started(seed: int, drag: float = 0.0) -> tuple[Search, Weighted, Fit]:
+    """The model of a hull in a sea before anything is sought."""
+    model, once = hull().model, FitSettings(starts=1)
+    split = split_records([casid.Experiment(record(seed, drag=drag), {}, "sea")], 0.3)
+    weighing = Weighing(split.fitted)
+    base = fit_model(model, split.fitted, once)
+    return Search(weighing, {}), weighing.weigh(model, base), base
+
+
+def test_a_sea_alone_leaves_nothing_to_seek() -> None:
+    search, start, base = started(1)
+    alone = disturbance_alone(search, start, base)
+    assert alone is not None
+    assert list(alone.noise.spectra) == ["moment"]
+
+
+def test_a_drag_in_a_sea_has_to_be_sought() -> None:
+    search, start, base = started(3, drag=1.5)
+    assert disturbance_alone(search, start, base) is None
+
+
+@pytest.mark.slow
+def test_no_candidate_is_refitted_in_a_sea() -> None:
+    said: list[str] = []
+    found = casid.diagnose(hull(), record(2), advise=False, progress=said.append)
+    assert (found.verdict, found.causes) == ("adequate", ())
+    assert said
+    assert not [line for line in said if line.startswith("refit")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_step_gains_most_of_what_the_refit_of_an_effect_gains_beside_a_sea(seed: int) -> None:
+    """At the model without a drag the tangent of one, in a sea that makes it curved, is no more.
+
+    What a step has to gain for a search is below that share of what pays for an effect. Both
+    likelihoods are maxima over the sea's spectrum, of which each is found to half a unit.
+    """
+    search, start, base = started(seed, drag=1.5)
+    bare = search.under_disturbance(base)
+    at = replace(bare, fit=bare.unbiased or bare.fit)
+    drag = quadratic_damping(start.model, "moment")
+    plain = extended_columns(replace(at.fit, criterion=unwhitened(at)), [drag])
+    gain = gain_beside(at, plain, [0], known={}, passing=1.0)
+    model, _ = drag.extended(start.model)
+    beside = search.weighing.with_disturbances()
+    fit = fit_model(model, search.weighing.experiments, FitSettings(starts=1))
+    refitted = minus_log_likelihood(bare) - minus_log_likelihood(beside.weigh(model, fit, rounds=1))
+    assert refitted > 10.0
+    assert DISTURBED.share * refitted < gain < refitted + 1.0
+
+
+def test_an_effect_pays_by_its_parameters_and_for_the_choice_among_many() -> None:
+    """Chen and Chen, Biometrika 95 (2008) 759-771, with gamma = 1: k log n + 2 log(tested)."""
+    assert price_of(2, 1000, 50) == pytest.approx(2 * np.log(1000) + 2 * np.log(50))
+    assert price_of(1, 1000, 0) == pytest.approx(np.log(1000))
+
+
+def test_a_sea_is_found_next_to_the_truth_where_a_far_residual_shows_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fitted without a disturbance the model may err so that forces look white."""
+    search, _, base = started(1)
+    asked: list[bool] = []
+
+    def hidden_at_first(noise: NoiseModel, *args: Any, **kwargs: Any) -> NoiseModel:
+        asked.append(True)
+        if len(asked) == 1:
+            return noise
+        return with_disturbance_spectra(noise, *args, **kwargs)
+
+    monkeypatch.setattr(prewhitening, "with_disturbance_spectra", hidden_at_first)
+    beside = search.weighing.with_disturbances()
+    assert list(beside.weigh(base.criterion.model, base, rounds=1).noise.spectra) == ["moment"]
