@@ -77,7 +77,7 @@ from .linear.discretisation_bias import bias_table
 from .linear.linear_model import linearise
 from .model.clock_signals import Always, RampOver, StepAt, TimeSince
 from .model.declarations import Parameter
-from .model.effects.actuator_effects import input_backlash
+from .model.effects.actuator_effects import input_backlash, rate_limit
 from .model.effects.channel_effects import dead_time, hold, saturation, sensor_lag, time_delay
 from .model.effects.effect import Effect
 from .model.effects.structure_effects import actuator_lag
@@ -252,6 +252,7 @@ __all__ = [
     "profile_likelihood",
     "proposition_3_1",
     "proposition_4_1",
+    "rate_limit",
     "rational",
     "read_equations",
     "read_record",

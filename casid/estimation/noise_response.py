@@ -258,7 +258,8 @@ def _input_stages(
     places += range(len(inputs) - forces, len(inputs))
     direct = np.zeros((1, len(inputs), len(places)))
     direct[0, places, range(len(places))] = 1.0
-    stages = [s for s in model.stages if s.is_of_input]
+    # An actuator at its largest rate feels no noise of its command, and follows it otherwise.
+    stages = [s for s in model.stages if s.is_of_input and s.kind != "rate_input"]
     channels = [name for name in measured if any(s.channel == name for s in stages)]
     if not channels:
         return direct
@@ -269,7 +270,7 @@ def _input_stages(
         u = np.zeros((2 * n, len(own)))
         u[n, own.index(channel)] = 1.0
         # Carriers are among the columns, but enter times a parameter that is zero.
-        prepared = prepared_inputs(model, u, values, Ts)
+        prepared = prepared_inputs(model, u, values, Ts, stages)
         out[:, : len(own), measured.index(channel)] = rfft(prepared, axis=0)
     return out
 

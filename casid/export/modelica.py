@@ -26,7 +26,6 @@ from casid.export.written_equations import (
     written_equations,
 )
 from casid.model.clock_signals import Always, RampOver, StepAt, TimeSince
-from casid.model.effects.names import effect_words
 from casid.model.formula_text import MODELICA, formula_text, number_text
 from casid.model.identifiers import identifier
 from casid.model.model import Model
@@ -118,8 +117,7 @@ class _Writer:
 
     def _comments(self) -> list[str]:
         texts = [
-            f"The diagnosis found {effect_words(c.kind, c.where)} missing; its parameters: "
-            f"{', '.join(c.parameters)}."
+            f"The diagnosis found {c.words} missing; its parameters: {', '.join(c.parameters)}."
             for c in self.fitted.causes
         ]
         texts += list(self.plain.notes)
@@ -245,9 +243,7 @@ class _Writer:
 
     def _named(self, term: Any) -> str:
         symbols = {s.name() for s in ca.symvar(term)}
-        found = [
-            effect_words(c.kind, c.where) for c in self.fitted.causes if symbols & set(c.parameters)
-        ]
+        found = [c.words for c in self.fitted.causes if symbols & set(c.parameters)]
         return f"  // {', '.join(found)}" if found else ""
 
     def _annotation(self) -> list[str]:

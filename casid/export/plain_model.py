@@ -23,8 +23,10 @@ from casid.export.delayed_outputs import SampledDelay, sampled_delays
 from casid.export.late_inputs import DeadTime, sampled_dead_times
 from casid.model.clock_signals import ClockSignal
 from casid.model.declarations import Stage
+from casid.model.dimensional_analysis import carrying_unit
 from casid.model.model import Model
 
+_NEAR = 0.1  # samples, the lag with which an actuator follows that is not at its largest rate
 _STABLE = 2.0  # longest Runge-Kutta step over a time constant, below the limit of stability, 2.78
 
 
@@ -206,7 +208,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         "step of a sample joins them by straight lines."
         for name in band_limited(model)
     ]
-    steps = _Stages(model, values, initial)
+    steps = _Stages(model, values, initial, fitted.Ts)
     for stage in fitted.model.stages:
         steps.take(stage)
     for name, entry in list(model.inputs.items()):
@@ -242,8 +244,10 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
 class _Stages:
     """Takes the stages of a model into its equations, one by one, in place."""
 
-    def __init__(self, model: Model, values: dict[str, float], initial: dict[str, float]) -> None:
-        self.model, self.values, self.initial = model, values, initial
+    def __init__(
+        self, model: Model, values: dict[str, float], initial: dict[str, float], Ts: float
+    ) -> None:
+        self.model, self.values, self.initial, self.Ts = model, values, initial, Ts
         self.delays: dict[str, float] = {}
         self.dead_times: dict[str, float] = {}
         self.lags: list[float] = []
@@ -254,9 +258,9 @@ class _Stages:
         """Take one stage."""
         value = self.values[stage.parameter]
         if stage.is_of_input:
-            self._drop(stage.carrier)
-            for name in (*Stage.line_of(stage.carrier), *Stage.line_of(stage.channel)):
-                self._drop(name)
+            for own in (*stage.carriers, stage.channel):
+                for name in (*stage.carriers, *Stage.line_of(own)):
+                    self._drop(name)
         if stage.kind == "clip":
             self._clip(stage)
         elif value <= 0.0:
@@ -269,6 +273,8 @@ class _Stages:
             self.dead_times[stage.channel] = value
         elif stage.kind == "lag_input":
             self._lag_input(stage)
+        elif stage.kind == "rate_input":
+            self._limit_rate(stage)
         elif stage.kind == "play_input":
             raise ModelError(
                 f"{self.model.name}: the command {stage.channel} acts through play, which has a "
@@ -329,6 +335,24 @@ class _Stages:
         self.notes.append(
             f"The actuator's state {acting.name()} begins at 0; begin it at the first value of "
             f"{channel} for an actuator at rest there."
+        )
+
+    def _limit_rate(self, stage: Stage) -> None:
+        """A state that goes to the command at the largest rate, and slower where it is near."""
+        if not self.values[stage.share]:
+            return
+        model, channel = self.model, stage.channel
+        position = self._state(f"{channel}_moved", model.inputs[channel].unit, 0.0)
+        command, most = model.symbol(channel), model.symbol(stage.parameter)
+        model.substitute_symbol(channel, position)
+        near = _NEAR * self.Ts
+        speed = (command - position) / carrying_unit(near)
+        model.derivative(position, ca.fmin(ca.fmax(speed, -most), most))
+        self.lags.append(near)
+        self.notes.append(
+            f"The actuator's state {position.name()} begins at 0; begin it at the first value of "
+            f"{channel} for an actuator at rest there. Where it is near the command it follows "
+            f"with a lag of {near:.3g} s, a tenth of a sample."
         )
 
     def _state(self, name: str, unit: str, start: float) -> Any:

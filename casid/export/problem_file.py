@@ -27,7 +27,6 @@ from casid.export.written_equations import (
 from casid.model.clock_signals import ClockSignal
 from casid.model.declarations import Input, Parameter, Stage, State
 from casid.model.effects.effect import KINDS
-from casid.model.effects.names import effect_words
 from casid.model.formula_text import PYTHON, formula_text, number_text
 from casid.model.model import Model
 from casid.model.units import from_si
@@ -44,6 +43,7 @@ _EXTENSIONS = {
     "late_input": ("dead_time", "longest"),
     "lag_input": ("actuator_lag", "longest"),
     "play_input": ("input_backlash", "largest"),
+    "rate_input": ("rate_limit", "rate"),
     "clip": ("saturation", "limit"),
 }
 """How a stage is written: the function that makes its effect, and the size that it takes."""
@@ -78,7 +78,8 @@ def _without_stages(model: Model) -> Model:
         n: replace(u, hold=model.acting_hold(n), blends=()) for n, u in base.inputs.items()
     }
     for stage in model.stages:
-        for name in (stage.carrier, *Stage.line_of(stage.carrier), *Stage.line_of(stage.channel)):
+        ends = [end for n in (*stage.carriers, stage.channel) for end in Stage.line_of(n)]
+        for name in (*stage.carriers, *ends):
             if stage.is_of_input and name in base.inputs:
                 base.substitute_symbol(name, 0)
                 del base.inputs[name]
@@ -90,7 +91,7 @@ class _Writer:
         self.fitted = fitted
         self.whole = fitted.model
         blends = {b.parameter for u in self.whole.inputs.values() for b in u.blends}
-        self.added = {s.parameter for s in self.whole.stages} | blends
+        self.added = {n for s in self.whole.stages for n in s.parameters} | blends
         self.equations: WrittenEquations = written_equations(_without_stages(self.whole))
         self.model: Model = self.equations.model
         self.m = "m" if "m" not in self.model._symbols else "model"
@@ -159,7 +160,7 @@ class _Writer:
                 f", {name.replace('_', ' ')} {value:.6g}" for name, value in cause.constants.items()
             )
             what = f" ({cause.description})" if cause.description else ""
-            text = f"{effect_words(cause.kind, cause.where)} [{cause.kind}]{what}: "
+            text = f"{cause.words} [{cause.kind}]{what}: "
             text += f"{', '.join(cause.parameters)}{constants}"
             lines += textwrap.wrap(
                 text.replace('"', "'").replace("\\", "/"),
@@ -264,7 +265,7 @@ class _Writer:
             unit = self.whole.declared_units.get(name)
             scale = 1.0 if unit is None else float(from_si(1.0, unit) - from_si(0.0, unit))
             said.append(f"std. error {math.sqrt(variance) * scale:.2g}")
-        said += [effect_words(c.kind, c.where) for c in self.fitted.causes if name in c.parameters]
+        said += [c.words for c in self.fitted.causes if name in c.parameters]
         return ", ".join(said)
 
     # -- equations -----------------------------------------------------------------------------
@@ -298,11 +299,7 @@ class _Writer:
         ]
         for term in b.terms:
             symbols = {s.name() for s in ca.symvar(term)}
-            causes = [
-                effect_words(c.kind, c.where)
-                for c in self.fitted.causes
-                if symbols & set(c.parameters)
-            ]
+            causes = [c.words for c in self.fitted.causes if symbols & set(c.parameters)]
             line = f"        {self._formula(term)},"
             remark = f"# {', '.join(causes)}, found by the diagnosis" if causes else ""
             is_short = len(f"{line}  {remark}") <= _WIDTH
@@ -347,16 +344,23 @@ class _Writer:
             p = self.whole.parameters[stage.parameter]
             largest = p.upper if size == "longest" else self.fitted.si_values[p.name]
             number = f"{largest:.3g}" if size == "longest" else self._number(p.name, largest)
+            number = f"{largest:.9g}" if size == "rate" else number  # SI, whatever the channel
             made = f"casid.{function}({self.m}, {_text(stage.channel)}, {size}={number})"
             lines += self._extended(made, stage.parameter)
+            if stage.share:
+                lines += self._valued(stage.share, is_free=False)
         return lines
 
     def _extended(self, effect: str, name: str) -> Iterator[str]:
         """A line that adds an effect, and one that gives its parameter its value."""
-        value = self.fitted.si_values[name]
         yield from self._call(self.m, "extend", effect, remark=self._remark(name))
-        how = "with_unknown" if self._is_estimated(name) else "with_known"
-        number = self._number(name, value, is_start=self._is_estimated(name))
+        yield from self._valued(name, is_free=self._is_estimated(name))
+
+    def _valued(self, name: str, *, is_free: bool) -> Iterator[str]:
+        """The line that gives a parameter its value, or its start where it is free."""
+        value = self.fitted.si_values[name]
+        how = "with_unknown" if is_free else "with_known"
+        number = self._number(name, value, is_start=is_free)
         if name.isidentifier():
             yield f"{self.m} = {self.m}.{how}({name}={number})"
         else:

@@ -130,7 +130,15 @@ class Balance:
 
 
 StageKind = Literal[
-    "delay", "lag", "clip", "delay_input", "lead_input", "late_input", "lag_input", "play_input"
+    "delay",
+    "lag",
+    "clip",
+    "delay_input",
+    "lead_input",
+    "late_input",
+    "lag_input",
+    "play_input",
+    "rate_input",
 ]
 
 
@@ -140,17 +148,20 @@ class Stage:
 
     An output may be late (`delay`), pass a first-order lag (`lag`) or be clipped (`clip`). Of an
     input what acted is found: the recorded column moved ahead (`delay_input`), rid of its sensor's
-    lag (`lead_input`), or sent through an actuator's dead time (`late_input`), lag (`lag_input`) or
-    play (`play_input`). The column is prepared before the simulation; `carrier` is the generated
-    input that brings its change with `parameter` into the sensitivities.
+    lag (`lead_input`), or sent through an actuator's dead time (`late_input`), lag (`lag_input`),
+    play (`play_input`) or largest rate (`rate_input`). The column is prepared before the
+    simulation; `carrier` is the generated input that brings its change with `parameter` into the
+    sensitivities.
 
     `least` is the narrowest play: without play the contacts are those of that one, not of noise.
+    `share` is a further parameter, the part of what the stage does that is done: 0 or 1.
     """
 
     kind: StageKind
     channel: str
     parameter: str
     least: float = 0.0
+    share: str = ""
 
     @property
     def is_of_input(self) -> bool:
@@ -163,7 +174,19 @@ class Stage:
 
         A band-limited input stays one.
         """
-        return self.kind in ("late_input", "lag_input")
+        return self.kind in ("late_input", "lag_input", "rate_input")
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Its parameters, the share last."""
+        return (self.parameter, self.share) if self.share else (self.parameter,)
+
+    @property
+    def carriers(self) -> tuple[str, ...]:
+        """Names of the inputs that carry the tangents of an input stage, one a parameter."""
+        if not self.share:
+            return (self.carrier,)
+        return self.carrier, f"change of {self.channel} with {self.share}"
 
     @property
     def carrier(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.diagnosis.evidence.bursts import burst_onset
+from casid.diagnosis.evidence.command_rates import command_rates
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.noise import input_noise_floor, with_rounding
@@ -21,6 +22,8 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
     sims = [at.criterion.simulated(at.fit.x, e) for e in range(len(at.criterion.experiments))]
     x = np.concatenate([s.x for s in sims])
     readings = _readings(at)
+    noise = _noise_of_inputs(at)
+    rates = command_rates(at.model, at.criterion.data, noise)
     rms = np.sqrt(np.mean(x**2, axis=0))
     return Sizes(
         rates={n: float(r) for n, r in zip(at.model.states, rms, strict=True)},
@@ -38,8 +41,10 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
         },
         readings={n: (m.low, m.high) for n, m in readings.items()},
         levels={n: m.operating_point for n, m in readings.items() if m.operating_point},
-        noise=_noise_of_inputs(at),
+        noise=noise,
         events=_events(at),
+        rates_felt={n: r.felt for n, r in rates.items()},
+        largest_rates={n: r.largest for n, r in rates.items()},
         course=lambda expression: _course(at, [s.x for s in sims], expression),
     )
 

@@ -56,6 +56,10 @@ class Alternative:
         return plain_fields(self)
 
 
+_SHARES = ("scale", "saturated", "rate_limited")
+"""Begin the names of parameters of a channel that have no unit, whatever the channel has."""
+
+
 @dataclass(frozen=True, slots=True)
 class Cause:
     """An effect that the data require and the model lacked."""
@@ -98,7 +102,8 @@ class Cause:
         channel = None if self.kind in LATE else units.get(self.where)
 
         def converted(p: Estimated) -> Estimated:
-            is_ratio = p.unit == "1" and (p.name == "share" or p.name == f"scale_{self.where}")
+            shares = ("share", *(f"{what}_{self.where}" for what in _SHARES))
+            is_ratio = p.unit == "1" and p.name in shares
             if is_ratio or (p.name == "time" and p.unit == "s"):
                 return p
             if p.name not in units and channel is not None and si_unit(channel) == p.unit:

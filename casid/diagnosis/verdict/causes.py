@@ -20,13 +20,13 @@ from casid.diagnosis.search.jump_times import events_of
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, SCORES
 from casid.diagnosis.verdict.cause import Alternative, Cause
-from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
+from casid.diagnosis.verdict.sentences import says, says_kind, says_rate_limit, why_alternative
 from casid.diagnosis.verdict.wrong_units import unit_mistaken
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import ACTS_LATE, ADVANCE, place_words
+from casid.model.effects.names import ACTS_LATE, ADVANCE, RATE, place_words
 from casid.model.quantities import instant_text, quantity_text
 
 
@@ -123,6 +123,8 @@ def _adopted(
     if effect.kind == "sensor_scale" and not effect.constants.get("about"):
         mistaken = unit_mistaken(parameters[0], _unit(found.search, effect.where))
         sentence += f", {mistaken}" if mistaken else ""
+    if effect.shape == RATE:
+        sentence = says_rate_limit(effect.where, _rate_text(adopted.candidate, parameters))
     return Cause(
         kind=effect.kind,
         where=effect.where,
@@ -132,6 +134,17 @@ def _adopted(
         sentence=sentence,
         description=effect.description,
         by_record=by_record.get(effect.key, {}),
+    )
+
+
+def _rate_text(candidate: Candidate, parameters: tuple[Estimated, ...]) -> str:
+    """An actuator's largest rate in the unit that the extended model has for it: 3.02 deg/s."""
+    model, name = candidate.model, candidate.names[1]
+    value = {p.name: p.value for p in parameters}.get(name, candidate.fit.values.get(name))
+    return (
+        "a rate"
+        if value is None
+        else quantity_text(model.shown_size(name, value), model.unit_of(name))
     )
 
 

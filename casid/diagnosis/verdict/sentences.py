@@ -20,6 +20,8 @@ from casid.model.effects.names import (
     BESIDE_ITS_ZERO,
     FLOW,
     OVERFLOW,
+    RATE,
+    RATE_LIMIT,
     effect_words,
     either_words,
     place_words,
@@ -160,6 +162,11 @@ def _says_constant(effect: Effect) -> str:
     return effect.description if effect.is_on_the_clock else ""
 
 
+def says_rate_limit(where: str, rate: str) -> str:
+    """An actuator's largest rate in words, a cause's sentence without its capital."""
+    return f"the actuator of {where} moves at no more than {rate}"
+
+
 def says(effect: Effect, column: str = "") -> str:
     """One effect in words, a cause's sentence without its capital.
 
@@ -178,6 +185,8 @@ def says(effect: Effect, column: str = "") -> str:
         return f"{says_kind(effect.kind, effect.where)} ({change})"
     if effect.is_store:
         return effect.description
+    if effect.shape == RATE:
+        return says_rate_limit(effect.where, "a rate")
     if effect.kind != "unknown" and effect.description.startswith((FLOW, OVERFLOW)):
         there = f"the {effect.where} balance" if effect.where.isidentifier() else effect.where
         comma = "," if "," in effect.description else ""
@@ -224,6 +233,8 @@ def separates(kind: str, description: str = "") -> str:
     """
     if description == BESIDE_ITS_ZERO:
         return "the command held at several values, with the actuator's own position recorded"
+    if description == RATE_LIMIT:
+        return "steps of the command of several sizes, with the actuator's own position recorded"
     return _SEPARATES.get(kind, _SEPARATES["unknown"])
 
 

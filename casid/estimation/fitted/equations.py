@@ -28,6 +28,7 @@ _STAGES = {
     "late_input": ("{c}(t - {p})", "the input acts late"),
     "lag_input": ("{c} behind a lag of {p}", "the actuator lags"),
     "play_input": ("{c} behind play of {p} to either side", "the actuator has play"),
+    "rate_input": ("{c} followed at a rate of {p} at most", "the actuator's rate is limited"),
 }
 """Kind of a stage -> what becomes of a channel c with the parameter p, and in words."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.reading.file_format import FileFormat
 from casid.data.record import Record
+from casid.model.effects.names import effect_words
 from casid.model.model import Model
 
 if TYPE_CHECKING:
@@ -96,6 +97,11 @@ class AddedCause:
     constants: Mapping[str, float] = field(default_factory=dict)
     shape: str = ""
     description: str = ""
+
+    @property
+    def words(self) -> str:
+        """The cause and its place, as an engineer says it."""
+        return effect_words(self.kind, self.where, description=self.description)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,11 +41,10 @@ class KnownSimulation:
         simulator, model = self.simulator, self.model
         of_inputs = [s for s in model.stages if s.is_of_input]
         if of_inputs:
-            times = {s.parameter: values[s.parameter] for s in of_inputs}
-            u = prepared_inputs(model, u, times, simulator.Ts)
+            u = prepared_inputs(model, u, values, simulator.Ts)
         u = simulator.with_courses(u)
         # What a stage does is in the column; its parameter multiplies the tangent alone.
-        held = {**values, **{s.parameter: 0.0 for s in of_inputs}}
+        held = {**values, **{name: 0.0 for s in of_inputs for name in s.parameters}}
         p = np.array([held[name] for name in simulator.equations.parameters], dtype=float)
         y, x = np.empty((len(u), simulator.ny)), np.empty((len(u), simulator.nx))
         before = np.empty((len(u), len(simulator.stepping)))

@@ -7,7 +7,7 @@ into a generated column, its carrier, which the model multiplies by that paramet
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from casid.estimation.simulation.first_order_lags import (
     lag_held,
     lag_lines,
 )
+from casid.estimation.simulation.rate_limits import change_with_rate, rate_limited, through_limit
 from casid.estimation.simulation.sample_lines import delayed_lines, lines_of
 from casid.model.declarations import Hold, Stage
 from casid.model.model import Model
@@ -132,21 +133,33 @@ def _lagged(columns: Array, samples: float) -> Array:
     return lag_columns(columns, samples)[0]
 
 
-def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: float) -> Array:
+_ORDER = ("late_input", "rate_input", "lag_input")
+"""Of what an actuator does that leaves lines: it moves late, at a rate, and acts with a lag."""
+
+
+def prepared_inputs(
+    model: Model,
+    u: Array,
+    values: Mapping[str, float],
+    Ts: float,
+    stages: Sequence[Stage] | None = None,
+) -> Array:
     """A copy of the inputs (N, nu) with every input stage applied and all carriers filled.
 
-    What happened to the record comes first, the dead time and then the lag of an actuator last:
-    they commute, but an input that is held or joined by straight lines leaves these as a line in
+    What happened to the record comes first, the dead time, the largest rate and then the lag of an
+    actuator last: an input that is held or joined by straight lines leaves these as a line in
     every sample, which begins and ends where its companions say; its own column has the values at
     the samples. A band-limited input stays one.
 
     Parameters
     ----------
-    values : of the stages' parameters [s].
+    values : of the stages' parameters, SI units.
+    stages : of inputs, where not all of the model's are applied.
     """
     out = u.copy()
     place = {name: i for i, name in enumerate(model.inputs)}
-    stages = [s for s in model.stages if s.is_of_input]
+    if stages is None:
+        stages = [s for s in model.stages if s.is_of_input]
     for channel in dict.fromkeys(s.channel for s in stages):
         columns = {channel: u[:, place[channel]]}
         mine = [s for s in stages if s.channel == channel]
@@ -163,7 +176,7 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
                 change = _slope(columns[channel], value if stage.kind == "delay_input" else 0.0, Ts)
                 columns = {n: _moved(stage.kind, c, value, Ts) for n, c in columns.items()}
                 columns[stage.carrier] = change
-        acting = sorted((s for s in mine if s.makes_lines), key=lambda s: s.kind == "lag_input")
+        acting = sorted((s for s in mine if s.makes_lines), key=lambda s: _ORDER.index(s.kind))
         if Stage.line_of(channel)[0] not in place:
             for stage in acting:
                 r = values[stage.parameter] / Ts
@@ -195,7 +208,7 @@ def _lines(
 ) -> dict[str, Array]:
     """The line in each sample (N, 3) that becomes of a channel and of what carries its tangents.
 
-    `columns` has the channel first. A dead time comes before a lag among the `stages`.
+    `columns` has the channel first. The `stages` are in their `_ORDER`.
     """
     channel = next(iter(columns))
     lines: dict[str, Array] = {}
@@ -204,12 +217,37 @@ def _lines(
         if stage.kind == "late_input":
             change = delayed_lines(columns[channel], r, hold)[1]
             lines = {n: delayed_lines(c, r, hold)[0] for n, c in columns.items()}
-        else:
-            lines = lines or {n: lines_of(c, hold) for n, c in columns.items()}
-            change = lag_lines(lines[channel], r, steps=hold == "zoh")[1]
-            lines = {n: lag_lines(c, r, steps=hold == "zoh")[0] for n, c in lines.items()}
+            lines[stage.carrier] = change / Ts
+            continue
+        lines = lines or {n: lines_of(c, hold) for n, c in columns.items()}
+        if stage.kind == "rate_input":
+            _limit_rate(lines, stage, values, Ts)
+            continue
+        change = lag_lines(lines[channel], r, steps=hold == "zoh")[1]
+        lines = {n: lag_lines(c, r, steps=hold == "zoh")[0] for n, c in lines.items()}
         lines[stage.carrier] = change / Ts
     return lines
+
+
+def _limit_rate(
+    lines: dict[str, Array], stage: Stage, values: Mapping[str, float], Ts: float
+) -> None:
+    """Send the lines of a channel through its largest rate, in place.
+
+    Without a share of it the command acts as it is, and what the rate would change is its tangent.
+    """
+    share, command = values[stage.share], lines[stage.channel]
+    limited = rate_limited(command, values[stage.parameter] * Ts)
+    change = limited.lines - command
+    if share:
+        tangents = {n: c for n, c in lines.items() if n != stage.channel}
+        for n, moved in through_limit(command, limited, tangents).items():
+            lines[n] = lines[n] + share * (moved - lines[n])
+        lines[stage.channel] = command + share * change
+        lines[stage.carrier] = share * Ts * change_with_rate(command, limited)
+    else:
+        lines[stage.carrier] = np.zeros_like(command)
+    lines[stage.carriers[1]] = change
 
 
 def play(column: Array, gap: float) -> tuple[Array, Array]:

@@ -316,8 +316,8 @@ class SimulationError:
         d, index = self.data[experiment], self._index[experiment][segment]
         values = self.unknowns.parameters(x, experiment, index)
         for stage in self.model.stages:
-            if stage.is_of_input:
-                values[stage.parameter] = 0.0  # what it does is in the input's column, see below
+            if stage.is_of_input:  # what it does is in the input's column, see below
+                values.update(dict.fromkeys(stage.parameters, 0.0))
         names = self._simulators[d.Ts].equations.parameters
         p = np.array([values[n] for n in names], dtype=float)
         return p, self.unknowns.initial_state(x, index[len(self.free) :])
@@ -372,7 +372,7 @@ class SimulationError:
                 wide = self._simulators[d.Ts].with_courses(d.u)
                 self._courses[experiment] = d.u, wide
             return wide
-        values = {s.parameter: self.value_of(s.parameter, x, experiment) for s in stages}
+        values = {n: self.value_of(n, x, experiment) for s in stages for n in s.parameters}
         u = prepared_inputs(self.model, d.u, values, d.Ts) if stages else d.u
         return self._simulators[d.Ts].with_courses(u)
 

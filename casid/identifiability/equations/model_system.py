@@ -200,7 +200,7 @@ def left_out(model: Model) -> tuple[str, ...]:
     """What the system of a model leaves out, a sentence for each stage and each blend of holds."""
     gone = _in_stages_alone(model)
     parts = [(f"the {_CALLED[s.kind]} of {s.channel}", s.parameter) for s in model.stages]
-    carried = {s.carrier for s in model.stages if s.is_of_input}
+    carried = {name for s in model.stages if s.is_of_input for name in s.carriers}
     parts += [
         (f"what {name} does between its samples", blend.parameter)
         for name, entry in model.inputs.items()
@@ -221,6 +221,7 @@ _CALLED = {
     "late_input": "dead time",
     "lag_input": "actuator's lag",
     "play_input": "actuator's play",
+    "rate_input": "actuator's largest rate",
     "clip": "clipping",
 }
 """Name of what a stage does."""
@@ -232,7 +233,7 @@ _CALLED = {
 def _slopes(model: Model) -> frozenset[str]:
     """Generated inputs that carry no signal: the tangents of input stages, and ends of samples."""
     stages = [s for s in model.stages if s.is_of_input]
-    carried = {s.carrier for s in stages}
+    carried = {name for s in stages for name in s.carriers}
     channels = (*carried, *(s.channel for s in stages))
     ends = {end for name in channels for end in Stage.line_of(name)}
     return frozenset(n for n in model.inputs if n in carried | ends)
@@ -244,7 +245,7 @@ def _in_stages_alone(model: Model) -> frozenset[str]:
     both = _without(ca.vertcat(e.f, e.h), _slopes(model), e)
     inside = {s.name() for s in ca.symvar(both)}
     blends = {b.parameter for u in model.inputs.values() for b in u.blends}
-    return frozenset({s.parameter for s in model.stages} | blends) - inside
+    return frozenset({n for s in model.stages for n in s.parameters} | blends) - inside
 
 
 def _without(expression: Any, inputs: frozenset[str], e: Any) -> Any:

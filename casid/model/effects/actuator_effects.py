@@ -8,10 +8,12 @@ import casadi as ca
 
 from casid.errors import ModelError
 from casid.model.declarations import Input, Parameter, Stage
-from casid.model.effects.channel_effects import carry
+from casid.model.effects.channel_effects import carry, is_rate_limited, require_command
 from casid.model.effects.effect import Effect, Sizes, known_while_null, switched_on
+from casid.model.effects.names import RATE, RATE_LIMIT
 from casid.model.effects.search_ranges import ACTUATORS
 from casid.model.model import Model
+from casid.model.units import unit_quotient
 
 
 def actuator_saturation(model: Model, channel: str, limit: float) -> Effect:
@@ -40,6 +42,69 @@ def actuator_saturation(model: Model, channel: str, limit: float) -> Effect:
         sided="positive",
         variant=limit,
         cost=2,
+    )
+
+
+def rate_limit(model: Model, channel: str, rate: float, *, most: float | None = None) -> Effect:
+    """A recorded command whose actuator moves at no more than a rate, to both sides.
+
+    The actuator (a rudder, a valve, a driver limited in slope) is where the command is, or on its
+    way there at that rate; it begins where the command begins. What it did is computed exactly for
+    a command held or joined by straight lines. As with `actuator_saturation` the blend
+    `rate_limited` is 0 in the model and 1 in the extended one.
+
+    Parameters
+    ----------
+    rate : where the search starts (the channel's SI unit per second).
+    most : upper bound of the rate, that of the command itself, beyond which the limit does nothing.
+
+    Raises
+    ------
+    ModelError
+        If the input is not recorded, stands in for an unknown one, is band-limited between its
+        samples, or has a largest rate already.
+    """
+    require_command(model, channel, instead="no largest rate")
+    if is_rate_limited(model, channel):
+        raise ModelError(
+            f"{model.name}: the actuator of {channel} has a largest rate already; extend the model "
+            "before that one"
+        )
+    if model.acting_hold(channel) == "bandlimited":
+        raise ModelError(
+            f"{model.name}: the command {channel} is band-limited between its samples, and an "
+            'actuator at its largest rate is not; declare it with hold="zoh" or "foh"'
+        )
+    unit = model.inputs[channel].unit
+    highest = ACTUATORS.rate[1] * rate if most is None else max(most, rate)
+    parameters = (
+        Parameter(f"rate_limited_{channel}", "1", 0.0, lower=0.0, upper=1.0),
+        Parameter(
+            f"rate_{channel}",
+            unit_quotient(unit, "s"),
+            rate,
+            lower=ACTUATORS.rate[0] * rate,
+            upper=highest,
+        ),
+    )
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        known_while_null(new, names)
+        switched_on(new, names[0])
+        carry(new, Stage("rate_input", channel, names[1], share=names[0]))
+
+    shown = model.declared_units.get(channel)
+    return Effect(
+        "actuator_saturation",
+        channel,
+        parameters,
+        apply,
+        sided="positive",
+        variant=rate,
+        cost=2,
+        shape=RATE,
+        description=RATE_LIMIT,
+        declared_units={parameters[1].name: f"{shown}/s"} if shown else {},
     )
 
 
@@ -128,6 +193,11 @@ def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
         largest = max(-low, high)
         for share in ACTUATORS.starts:
             yield actuator_saturation(model, channel, share * largest)
+        if not is_rate_limited(model, channel) and model.acting_hold(channel) != "bandlimited":
+            rates = sizes.rates_felt.get(channel, ())
+            yield from (
+                rate_limit(model, channel, r, most=sizes.largest_rates[channel]) for r in rates
+            )
         widest, least = (
             ACTUATORS.gap * (high - low),
             ACTUATORS.noise * sizes.noise.get(channel, 0.0),

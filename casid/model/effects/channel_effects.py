@@ -148,13 +148,12 @@ def carry(model: Model, stage: Stage) -> None:
     one stays so.
     """
     entry = model.inputs[stage.channel]
-    slope = unit_quotient(entry.unit, model.parameters[stage.parameter].unit, 1)
-    carrier = model.add_input(
-        Input(stage.carrier, slope, "generated", entry.hold, blends=entry.blends)
-    )
-    model.substitute_symbol(
-        stage.channel, model.symbol(stage.channel) + model.symbol(stage.parameter) * carrier
-    )
+    changed = model.symbol(stage.channel)
+    for parameter, name in zip(stage.parameters, stage.carriers, strict=True):
+        slope = unit_quotient(entry.unit, model.parameters[parameter].unit, 1)
+        carrier = model.add_input(Input(name, slope, "generated", entry.hold, blends=entry.blends))
+        changed = changed + model.symbol(parameter) * carrier
+    model.substitute_symbol(stage.channel, changed)
     model.stages = (*model.stages, stage)
     is_line = any(s.makes_lines and s.channel == stage.channel for s in model.stages)
     if is_line and model.acting_hold(stage.channel) != "bandlimited":
@@ -167,6 +166,11 @@ def carry(model: Model, stage: Stage) -> None:
 def is_lagging(model: Model, channel: str) -> bool:
     """True if an input acts through an actuator's lag already."""
     return any(s.kind == "lag_input" and s.channel == channel for s in model.stages)
+
+
+def is_rate_limited(model: Model, channel: str) -> bool:
+    """True if the actuator of an input has a largest rate already."""
+    return any(s.kind == "rate_input" and s.channel == channel for s in model.stages)
 
 
 def is_late(model: Model, channel: str) -> bool:
@@ -187,8 +191,8 @@ def _has_lines(model: Model, channel: str) -> bool:
 
 def _carriers(model: Model, channel: str) -> list[str]:
     """Inputs that carry the tangents of what is done to an input's column."""
-    found = [s.carrier for s in model.stages if s.is_of_input and s.channel == channel]
-    return list(dict.fromkeys(found))
+    mine = [s for s in model.stages if s.is_of_input and s.channel == channel]
+    return list(dict.fromkeys(name for s in mine for name in s.carriers))
 
 
 def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:

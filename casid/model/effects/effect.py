@@ -183,6 +183,8 @@ class Effect:
         A change of a temperature has no zero of its own; what declares degC for itself is a level.
         A delay or lag of a pulse width in microseconds is a time, and no change of that width.
         """
+        if self.is_switched and p is self.parameters[0]:
+            return None  # a share, also where the channel has per cent
         own = self.declared_units.get(p.name)
         unit = own or (None if self.kind in LATE else model.declared_units.get(self.where))
         if unit is None or is_si(unit) or si_unit(unit) != p.unit:
@@ -206,6 +208,8 @@ class Sizes:
     levels: Mapping[str, float] = field(default_factory=dict)  # channel -> its operating point
     noise: Mapping[str, float] = field(default_factory=dict)  # input -> bound on its white noise
     events: tuple[float, ...] = ()  # s, at which a misfit begins
+    rates_felt: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # command -> 1/s
+    largest_rates: Mapping[str, float] = field(default_factory=dict)  # of the same commands
 
     def motion_of(self, expression: Any) -> Motion:
         """How an expression of states and inputs moves in the simulation.

@@ -38,6 +38,12 @@ _NAMES = {
     "unknown": "unidentified term",
 }
 
+RATE = "rate"
+"""Shape of the saturation of a command whose actuator moves at no more than a rate."""
+
+RATE_LIMIT = "the actuator moves at no more than a rate"
+"""What it does, in words."""
+
 ACTS_LATE = "acts late"
 """Shape of the delay of a measured input that is not its sensor's."""
 
@@ -92,6 +98,8 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     at, _, variant = where.partition(": ")
     place = f"the {at} balance" if at.isidentifier() else at
     own, _, source = at.partition("~")
+    if kind == "actuator_saturation" and (variant == RATE or description == RATE_LIMIT):
+        return f"rate limit of the actuator of {at}"
     delay = _DELAYS.get(description) or _DELAYS.get(variant)
     if kind == "time_delay" and delay:
         return delay.format(where=at)

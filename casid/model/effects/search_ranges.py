@@ -16,6 +16,7 @@ _CATALOGUE = f"{_TESTS}/test_effect.py"
 _BALANCES = f"{_TESTS}/test_balance_effects.py"
 _CHANNELS = f"{_TESTS}/test_channel_effects.py"
 _ACTUATORS = f"{_TESTS}/test_actuator_effects.py"
+_RATES = f"{_TESTS}/test_rate_limit.py"
 _CONTACT = f"{_TESTS}/test_contact_effects.py"
 _FRICTION = f"{_TESTS}/test_friction_effects.py"
 _SCHEDULED = f"{_TESTS}/test_scheduled_parameter.py"
@@ -231,6 +232,23 @@ class Actuators:
         _ACTUATORS,
     )
     tick: float = _is(0.005, "of the widest play, what is none beside it", _ACTUATORS)
+    rates: int = _is(6, "largest rates of an actuator that the search starts from, at most", _RATES)
+    halvings: int = _is(
+        16, "times that the largest rate of a command is halved, in search of those", _RATES
+    )
+    rate: tuple[float, float] = _is(
+        (0.2, 5.0),
+        "of its start, lower and upper bound of a rate: two steps of the grid of starts where that "
+        "is widest",
+        _RATES,
+    )
+    felt: tuple[float, float] = _is(
+        (0.02, 0.9),
+        "of a command's standard deviation, the rms of what an actuator at its largest rate leaves "
+        "of it, at least and at most: less is nothing that a simulation shows, and with more the "
+        "actuator hardly moves",
+        _RATES,
+    )
 
 
 @dataclass(frozen=True, slots=True)

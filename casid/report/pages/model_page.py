@@ -8,7 +8,6 @@ from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.estimation.fitted.equations import equations_of
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.model.effects.names import effect_words
 from casid.model.model import Model
 from casid.report.document import Bullets, Code, Document, Equations, Part, Section, Table
 from casid.report.numbers import number_text, value_text
@@ -115,7 +114,7 @@ def fitted_view(fitted: FittedModel) -> Document:
         variance = errors.get(name)
         error = "" if variance is None else f"{m.shown_size(name, math.sqrt(variance)):.2g}"
         rows.append((Code(name), m.unit_of(name), value_text(value), error))
-    added = [effect_words(c.kind, c.where) for c in fitted.causes]
+    added = [c.words for c in fitted.causes]
     changed = equation_changes(fitted)
     return Document(
         fitted.name,
