@@ -634,6 +634,26 @@ class Jumps:
     same_event: float = _is(
         1.2, "steps of the first grid within which it is one event", POWER_STUDY
     )
+    seen: float = _is(
+        1e-6,
+        "of the power of two steps, what their difference has at least: less is rounding",
+        f"{TESTS}/search/test_temporary_changes.py",
+    )
+    moves: int = _is(
+        3,
+        "Gauss-Newton steps of all instants at once, in the whole records beside all causes",
+        f"{TESTS}/search/test_temporary_changes.py",
+    )
+    still: float = _is(
+        0.1,
+        "standard errors of an instant, by which no step is worth a fit",
+        f"{TESTS}/search/test_temporary_changes.py",
+    )
+    ends: int = _is(
+        41,
+        "instants of a scan at either end of what is over again: all pairs of them are compared",
+        f"{TESTS}/search/test_temporary_changes.py",
+    )
 
 
 _FRICTION = f"{TESTS}/search/test_friction_speeds.py"
@@ -724,6 +744,12 @@ class Shortlist:
         "effects at an instant beside them, of each order: a jump of one parameter is nearly one "
         "of any other",
         f"{TESTS}/search/test_shortlist.py",
+    )
+    passing: int = _is(
+        2,
+        "changes that are over again beside them: what happens between two instants is explained "
+        "nearly as well by the change of another parameter",
+        f"{TESTS}/search/test_temporary_changes.py",
     )
     switch: int = _is(
         3,

@@ -396,6 +396,22 @@ def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
     Linear in the effects, about a fit that already has one of their kind: the residual with that
     one taken out is regressed on each candidate's sensitivity and the other unknowns'.
     """
+    e, psi = _regressed(fit, own, effects)
+    size = np.maximum(np.einsum("ij,ij->j", psi, psi), TINY)
+    return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
+
+
+def scan_pairs(fit: Fit, own: str, firsts: Sequence[Effect], lasts: Sequence[Effect]) -> Array:
+    """As `scan`, of each of `firsts` less each of `lasts` in the place of the parameter, (K, L)."""
+    e, psi = _regressed(fit, own, [*firsts, *lasts])
+    products, along = psi.T @ psi, psi.T @ e
+    size, k = np.diag(products), len(firsts)
+    left = size[:k, None] + size[None, k:] - 2 * products[:k, k:]
+    return np.asarray(e @ e - (along[:k, None] - along[None, k:]) ** 2 / np.maximum(left, TINY))
+
+
+def _regressed(fit: Fit, own: str, effects: Sequence[Effect]) -> tuple[Array, Array]:
+    """Residual without the parameter `own` (M,) and signatures (M, K), off all other tangents."""
     base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
     parts = [columns.of_record(wide.start, k) for k in range(len(wide.data))]
@@ -409,8 +425,7 @@ def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
     e = e - q @ (q.T @ e)
     psi = psi[:, : len(effects)]
     _take_out(psi, q, q.T @ psi)
-    size = np.maximum(np.einsum("ij,ij->j", psi, psi), TINY)
-    return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
+    return e, psi
 
 
 def _joined(parts: list[Array]) -> Array:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from math import comb
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -25,6 +26,7 @@ from casid.diagnosis.thresholds import COMPARISON, SUFFICIENCY
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.fit_statistics import rms
 from casid.model.effects.effect import HYSTERESIS_SHAPE
+from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.time_limit import seconds_left
 
 TANGENTS = ("offset", "sensor_bias", "sensor_scale")
@@ -188,6 +190,8 @@ def p_value(table: ScoreTable, candidate: Candidate, *, by_remainder: bool = Fal
     """
     score = table.adjusted(candidate.effect.key)
     count, test = len(table.tested), candidate.effect.test
+    if candidate.effect.end is not None:
+        count *= comb(PARAMETER_JUMPS.times, 2)
     if test == "peak":
         lines = sum(d.N for d in candidate.fit.criterion.data) / 2
         refit = lines * float(chi2.sf(max(candidate.gain, 0.0), 3))

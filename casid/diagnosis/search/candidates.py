@@ -54,6 +54,8 @@ class Adopted:
     near : what explains nearly as much, where misfit passed for noise.
     rounding : variable -> what a standard deviation of the speed within which dry friction
         reverses moves its estimate by.
+    shifts : the same of what instants are not known to, one for each of them.
+    instant_errors : standard errors of its instants [s].
     """
 
     candidate: Candidate
@@ -64,6 +66,8 @@ class Adopted:
     share: float = 0.0
     near: tuple[Candidate, ...] = ()
     rounding: Mapping[str, float] = field(default_factory=dict)
+    shifts: tuple[Mapping[str, float], ...] = ()
+    instant_errors: tuple[float, ...] = ()
 
     @property
     def contenders(self) -> tuple[Candidate, ...]:

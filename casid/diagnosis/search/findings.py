@@ -11,6 +11,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, name_of
 from casid.diagnosis.search.disturbance_alone import disturbance_alone
 from casid.diagnosis.search.disturbance_rival import weighed_against_disturbances
+from casid.diagnosis.search.instant_errors import with_instant_errors
 from casid.diagnosis.search.promotion import with_likelier_rivals
 from casid.diagnosis.search.reconsideration import reconsidered
 from casid.diagnosis.search.record_specific import Specific, record_specific
@@ -123,7 +124,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         search,
         at,
         extended,
-        tuple(adopted),
+        with_instant_errors(search.attempts, adopted, extended),
         specific,
         found.remainders,
         corrected,

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.score_tests import scan
+from casid.diagnosis.evidence.score_tests import scan, scan_pairs
 from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
@@ -38,7 +38,11 @@ def placed(
     top = max(c.gain for c in found)
     out, instant = [], None
     for c in sorted(found, key=lambda c: -c.gain):
-        if c.effect.sets_in and c.gain > JUMPS.promising * top:
+        if c.effect.end is not None and c.gain > JUMPS.promising * top:
+            progress(f"find the instants of {name_of(c.effect)}")
+            what = f"the instants of {name_of(c.effect)}"
+            c = refitting.attempts.attempt(what, partial(_between, refitting, at, c, known)) or c
+        elif c.effect.sets_in and c.gain > JUMPS.promising * top:
             progress(f"find the instant of {name_of(c.effect)}")
             if instant is not None:
                 c = _better_at(refitting, at, c, instant, known)
@@ -50,6 +54,31 @@ def placed(
             out += [] if twin is None else [twin]
         out.append(c)
     return out
+
+
+def _between(
+    refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
+) -> Candidate:
+    """Scan both instants of what is over again, ever finer, about the last refit."""
+    start, stop = window_of(at)
+    Ts = min(d.Ts for d in at.criterion.data)
+    reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
+    for _ in range(JUMPS.scans):
+        ends = (found.effect.variant, found.effect.end)
+        grid = reach * np.linspace(-1, 1, JUMPS.ends)
+        assert ends[0] is not None
+        assert ends[1] is not None
+        times = [[float(t) for t in end + grid if start < t < stop] for end in ends]
+        steps = [[at_instant(found.effect, found.model, t) for t in side] for side in times]
+        left = scan_pairs(found.fit, found.names[0], *steps)
+        left[np.subtract.outer(times[0], times[1]) > -Ts] = np.inf
+        i, j = np.unravel_index(int(np.argmin(left)), left.shape)
+        first, last = times[0][int(i)], times[1][int(j)]
+        found = _better_at(refitting, at, found, first, known, last)
+        if reach < JUMPS.fine * Ts:
+            break
+        reach /= JUMPS.zoom
+    return found
 
 
 def _knock(
@@ -91,12 +120,17 @@ def _placed(
 
 
 def _better_at(
-    refitting: Refitting, at: Weighted, found: Candidate, instant: float, known: Sequence[float]
+    refitting: Refitting,
+    at: Weighted,
+    found: Candidate,
+    instant: float,
+    known: Sequence[float],
+    end: float | None = None,
 ) -> Candidate:
-    """The jump refitted at another instant, if it explains more there."""
-    if instant == found.effect.variant:
+    """The jump refitted at another instant, if it explains more there; over at an `end`."""
+    if (instant, end) == (found.effect.variant, found.effect.end):
         return found
-    other = at_instant(found.effect, at.model, instant)
+    other = at_instant(found.effect, at.model, instant, end)
     if is_known_event(at, other, known):
         return found
     again = refitting.refit(at, other, float(found.fit.values[found.names[0]]))
@@ -106,9 +140,9 @@ def _better_at(
 
 
 def events_of(adopted: Sequence[Candidate]) -> list[float]:
-    """Instants of the jumps among what was adopted [s]."""
-    effects = [c.effect for c in adopted]
-    return [e.variant for e in effects if e.sets_in and e.variant is not None]
+    """Instants of the jumps among what was adopted [s], and those at which they are over."""
+    effects = [c.effect for c in adopted if c.effect.sets_in]
+    return [t for e in effects for t in (e.variant, e.end) if t is not None]
 
 
 def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool:
@@ -116,4 +150,5 @@ def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool
     start, stop = window_of(at)
     near = JUMPS.same_event * (stop - start) / (PARAMETER_JUMPS.times + 1)
     when = effect.variant
-    return when is not None and any(abs(t - when) < near for t in known)
+    times = [t for t in (when, effect.end) if t is not None]
+    return any(abs(t - own) < near for t in known for own in times)

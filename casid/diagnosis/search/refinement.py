@@ -37,6 +37,7 @@ from casid.diagnosis.search.candidates import (
 )
 from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.friction_speeds import likeliest_speed, steps_needed
+from casid.diagnosis.search.instant_errors import moved_in_time
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
@@ -45,7 +46,7 @@ from casid.diagnosis.search.simulation_errors import (
     why_held_out,
 )
 from casid.diagnosis.search.swinging_parts import in_motion, may_move
-from casid.diagnosis.thresholds import FRICTION, JUDGING, ROUNDS
+from casid.diagnosis.thresholds import FRICTION, JUDGING, JUMPS, ROUNDS
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
@@ -246,6 +247,25 @@ class Refinement:
         causes[i] = replace(causes[i], effect=effect)
         placed, fit = self._with(causes, near, substeps)
         return [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)], fit
+
+    def in_time(self, found: Adoption) -> Adoption:
+        """With the instants of what sets in where the whole records have them beside all causes.
+
+        They were placed under the noise of a model without the cause, which may weigh the outputs
+        by far more than they have.
+        """
+        adopted, fit = list(found.adopted), found.fit
+        assert fit is not None
+        for _ in range(JUMPS.moves):
+            causes = moved_in_time(self.start.model, adopted, fit)
+            if causes is None:
+                break
+            placed, other = self._with(causes, fit)
+            if not other.solution.value < fit.solution.value:
+                break
+            adopted = [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
+            fit = other
+        return found if fit is found.fit else self._refined(found, adopted, fit)
 
     def main(self, found: Adoption) -> Adoption:
         """Without what explains too little and carries no parameter, the smallest first.

@@ -40,6 +40,7 @@ from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.search.swinging_parts import beside_lines
+from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import COMPARISON, REFITS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
@@ -201,7 +202,7 @@ class Search:
         """Refit the shortlist of what was not adopted yet; best first."""
         found: list[Candidate] = []
         refitting, attempt = self.refitting, self.attempts.attempt
-        scores = shortlist(at, table)
+        scores = [*shortlist(at, table), *temporary_changes(at, table)]
         short = attempt(
             "the choice of candidates on a part of the records",
             lambda: preselected(refitting, at, scores, self.progress),

@@ -73,6 +73,7 @@ def adopt_causes(
     for what, step in (
         (superfluous, refine.significant),
         (SHARPNESS, refine.sharp),
+        ("the instants of changes in the whole records", refine.in_time),
         ("the test whether every cause matters", refine.main),
     ):
         found = attempt(what, partial(step, found)) or found

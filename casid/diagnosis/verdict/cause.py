@@ -104,7 +104,7 @@ class Cause:
         def converted(p: Estimated) -> Estimated:
             shares = ("share", *(f"{what}_{self.where}" for what in _SHARES))
             is_ratio = p.unit == "1" and p.name in shares
-            if is_ratio or (p.name == "time" and p.unit == "s"):
+            if is_ratio or (p.name in ("time", "end") and p.unit == "s"):
                 return p
             if p.name not in units and channel is not None and si_unit(channel) == p.unit:
                 return p if parse_unit(channel).offset else p.in_unit(channel)

@@ -118,7 +118,7 @@ def _adopted(
     )
     by_record = {s.key: s.by_record for s in found.specific}
     column = columns.get(effect.where)
-    parameters = _parameters_of(adopted.candidate, estimate)
+    parameters = _parameters_of(adopted, estimate)
     sentence = says(effect, column.column if column is not None else "")
     if effect.kind == "sensor_scale" and not effect.constants.get("about"):
         mistaken = unit_mistaken(parameters[0], _unit(found.search, effect.where))
@@ -191,15 +191,25 @@ def _saturation(search: Search, cut: Plateaus) -> Cause:
     )
 
 
-def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
+def _parameters_of(adopted: Adopted, estimate: Estimate) -> tuple[Estimated, ...]:
+    candidate = adopted.candidate
     rows = [p for p in estimate.parameters if p.name in candidate.names]
     if candidate.effect.is_switched:
         blend, note = candidate.names[0], "not estimated: either present or absent"
         rows = [replace(p, note=note) if p.name == blend else p for p in rows]
-    if candidate.effect.sets_in and candidate.effect.variant is not None:
-        when, Ts = candidate.effect.variant, min(d.Ts for d in candidate.fit.criterion.data)
-        note = f"searched, to within {quantity_text(Ts, 's')}: {instant_text(when, Ts)}"
-        rows.append(Estimated("time", when, "s", note=note, resolution=Ts))
+    if candidate.effect.sets_in:
+        Ts = min(d.Ts for d in candidate.fit.criterion.data)
+        errors = [*adopted.instant_errors, None, None]
+        ends = (("time", candidate.effect.variant), ("end", candidate.effect.end))
+        for (name, when), error in zip(ends, errors, strict=False):
+            if when is not None:
+                known = max(Ts, error or 0.0)
+                note = (
+                    f"searched, to within {quantity_text(known, 's')}: {instant_text(when, known)}"
+                )
+                rows.append(
+                    Estimated(name, when, "s", std_error=error, note=note, resolution=known)
+                )
     return tuple(rows)
 
 

@@ -18,32 +18,38 @@ from casid.estimation.simulation.simulation_estimate import ErrorBars
 from casid.identification.error_bars import error_bars
 
 ROUNDED = "; how sharply dry friction reverses is included as far as it is not known"
+PLACED = "; the instants of changes are included as far as they are not known"
 
 
 def bars_of(
-    fit: Fit, corrected: Corrected | None, roundings: Sequence[Mapping[str, float]] = ()
+    fit: Fit,
+    corrected: Corrected | None,
+    roundings: Sequence[Mapping[str, float]] = (),
+    shifts: Sequence[Mapping[str, float]] = (),
 ) -> ErrorBars | None:
-    """As `identify` has them, and what roundings of dry friction add; None of a whitened fit.
+    """As `identify` has them, and what was searched adds; None of a whitened fit.
 
     Parameters
     ----------
     corrected : what became of the bias of noise on measured inputs, where it was looked at.
     roundings : of every cause, variable -> what a standard deviation of how sharply dry friction
         reverses moves its estimate by.
+    shifts : the same of the instants of changes.
     """
     if fit.criterion.whiten is not None:
         return None
     bars = error_bars(corrected or Corrected(fit, why_not="it was not looked at"))
-    roundings = [r for r in roundings if r]
-    if not roundings:
+    roundings, shifts = [r for r in roundings if r], [s for s in shifts if s]
+    if not (roundings or shifts):
         return bars
     covariance, free = bars.covariance, fit.solution.is_free
     if covariance is None:
         covariance, _ = sandwich(fit.solution.hessian, fit.criterion.scores(fit.x), free)
-    for rounding in roundings:
-        added = free * np.array([rounding.get(n, 0.0) for n in fit.criterion.names])
+    for moved in (*roundings, *shifts):
+        added = free * np.array([moved.get(n, 0.0) for n in fit.criterion.names])
         covariance = covariance + np.outer(added, added)
-    return replace(bars, covariance=covariance, assumes=bars.assumes + ROUNDED)
+    assumes = bars.assumes + (ROUNDED if roundings else "") + (PLACED if shifts else "")
+    return replace(bars, covariance=covariance, assumes=assumes)
 
 
 def unknown_sizes(causes: Sequence[Cause], reported: Estimate) -> tuple[str, ...]:

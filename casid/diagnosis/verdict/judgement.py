@@ -172,7 +172,8 @@ def _extended(problem: Problem, found: Findings, baseline: Estimate) -> Estimate
     fit, split = found.extended_fit, found.baseline.split
     if fit is None:
         return None
-    bars = bars_of(fit, found.corrected, [a.rounding for a in found.adopted])
+    shifts = [shift for a in found.adopted for shift in a.shifts]
+    bars = bars_of(fit, found.corrected, [a.rounding for a in found.adopted], shifts)
     extended = estimate_of(problem, fit, validation(fit, split), bars=bars)
     if extended.model is None:
         return extended

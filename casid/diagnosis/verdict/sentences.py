@@ -178,6 +178,9 @@ def says(effect: Effect, column: str = "") -> str:
         of = f" (column {column!r})" if column and column != effect.where else ""
         on = f"in the {effect.shape} balance" if effect.shape else "on the system"
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
+    if effect.end is not None:
+        begun, over = (quantity_text(effect.constants[t], "s") for t in ("time", "end"))
+        return f"{effect.description}, from {begun} to {over}"
     if effect.kind in ("offset", "sensor_bias") and (text := _says_constant(effect)):
         return text
     if effect.kind == "parameter_drift" and "stop" in effect.constants:

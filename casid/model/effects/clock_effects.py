@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
-from casid.model.declarations import Input, Parameter
+from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import offset
 from casid.model.effects.channel_effects import sensor_bias
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import FOR_A_WHILE
 from casid.model.effects.parameter_effects import (
+    cost_of_instants,
+    instants,
     jump_times,
     parameter_jump,
     ramp_over,
+    since,
     step_at,
 )
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
@@ -23,10 +28,12 @@ from casid.model.units import unit_quotient
 STEP, KNOCK, DRIFT = "step", "knock", "drift"
 
 
-def offset_step(model: Model, balance: str, time: float) -> Effect:
-    """A constant force or torque that sets in at `time` (seconds of the record's clock)."""
-    made = _set_in(offset(model, balance), time)
+def offset_step(model: Model, balance: str, time: float, end: float | None = None) -> Effect:
+    """A constant force or torque from `time` on, or until `end` (seconds of the record's clock)."""
+    made = _set_in(offset(model, balance), time, end)
     says = f"a constant term sets in during the record, in the {balance} balance"
+    if end is not None:
+        says = f"a constant term acts in the {balance} balance {FOR_A_WHILE}"
     return replace(made, description=says)
 
 
@@ -57,10 +64,12 @@ def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
     )
 
 
-def bias_step(model: Model, channel: str, time: float) -> Effect:
-    """A bias of a measured channel that sets in at `time` (seconds of the record's clock)."""
-    made = _set_in(sensor_bias(model, channel), time)
+def bias_step(model: Model, channel: str, time: float, end: float | None = None) -> Effect:
+    """A bias of a measured channel from `time` on, or until `end` (s of the record's clock)."""
+    made = _set_in(sensor_bias(model, channel), time, end)
     says = f"the channel {channel} gets a constant bias during the record"
+    if end is not None:
+        says = f"the channel {channel} has a constant bias {FOR_A_WHILE}"
     return replace(made, description=says)
 
 
@@ -70,7 +79,9 @@ def bias_drift(model: Model, channel: str, window: tuple[float, float]) -> Effec
     Its size is what it grows to over `window`, the fitted part in seconds of the record's clock.
     """
     start, stop = window
-    made = _times(sensor_bias(model, channel), ramp_over(start, stop), beyond=0.5)
+    made = _times(
+        sensor_bias(model, channel), lambda new: new.add_input(ramp_over(start, stop)) + 0.5
+    )
     p = replace(made.parameters[0], name=f"drift_{channel}")
     return replace(
         made,
@@ -81,13 +92,12 @@ def bias_drift(model: Model, channel: str, window: tuple[float, float]) -> Effec
     )
 
 
-def at_instant(effect: Effect, model: Model, time: float) -> Effect:
-    """The same as `effect`, which sets in at an instant, at another [s]."""
-    if effect.kind == "parameter_jump":
-        return parameter_jump(model, effect.where, time)
+def at_instant(effect: Effect, model: Model, time: float, end: float | None = None) -> Effect:
+    """The same as `effect`, which sets in at an instant, at another [s]; over at `end` [s]."""
     if effect.shape == KNOCK:
         return knock(model, effect.where, time, effect.constants["duration"])
-    return {"offset": offset_step, "sensor_bias": bias_step}[effect.kind](model, effect.where, time)
+    made = {"parameter_jump": parameter_jump, "offset": offset_step, "sensor_bias": bias_step}
+    return made[effect.kind](model, effect.where, time, end)
 
 
 def clock_effects_of(
@@ -112,20 +122,20 @@ def clock_effects_of(
         yield bias_drift(model, channel, window)
 
 
-def _set_in(effect: Effect, time: float) -> Effect:
-    """An effect from an instant on, which is charged as that of a jump is."""
-    made = _times(effect, step_at(time))
-    cost, constants = PARAMETER_JUMPS.cost, {"time": time}
+def _set_in(effect: Effect, time: float, end: float | None) -> Effect:
+    """An effect from an instant on, or between two, which is charged as that of a jump is."""
+    made = _times(effect, lambda new: since(new, time, end))
+    cost, constants = cost_of_instants(end), instants(time, end)
     return replace(made, variant=time, cost=cost, shape=STEP, constants=constants)
 
 
-def _times(effect: Effect, entry: Input, beyond: float = 0.0) -> Effect:
-    """An effect in proportion to its parameter, times an input of the clock and `beyond`."""
+def _times(effect: Effect, course: Callable[[Model], Any]) -> Effect:
+    """An effect in proportion to its parameter, times what `course` adds to a model."""
 
     def apply(new: Model, names: Sequence[str]) -> None:
         effect.apply(new, names)
-        s = new.add_input(entry)
-        new.substitute_symbol(names[0], new.symbol(names[0]) * (s + beyond))
+        s = course(new)
+        new.substitute_symbol(names[0], new.symbol(names[0]) * s)
 
     # What holds all the time is met more often, and named where the two are the same.
     return replace(effect, apply=apply, priority=effect.priority + 1)

@@ -79,7 +79,8 @@ class Effect:
     description : the effect in words, where its kind is no name of `KINDS` that says it; of one
         that does, the equations that it enters where it acts on a relative motion.
     constants : numbers in it that are chosen rather than estimated, SI units: the `speed` below
-        which dry friction is smoothed, the `time` of a jump, the `least` play that is one.
+        which dry friction is smoothed, the `time` of a jump, the `end` of what lasts for a while,
+        the `least` play that is one.
     declared_units : parameter -> unit that it is shown in, where that is not SI.
     """
 
@@ -121,6 +122,11 @@ class Effect:
     def sets_in(self) -> bool:
         """True of what sets in at an instant, its `variant`, which is searched."""
         return "time" in self.constants
+
+    @property
+    def end(self) -> float | None:
+        """The instant [s] at which what set in is over, None where it stays."""
+        return self.constants.get("end")
 
     @property
     def is_on_the_clock(self) -> bool:

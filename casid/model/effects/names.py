@@ -38,6 +38,9 @@ _NAMES = {
     "unknown": "unidentified term",
 }
 
+FOR_A_WHILE = "for a while"
+"""How the descriptions end of changes that are over before the record is."""
+
 RATE = "rate"
 """Shape of the saturation of a command whose actuator moves at no more than a rate."""
 
@@ -56,6 +59,9 @@ BESIDE_ITS_ZERO = "acts beside its zero"
 
 ADVANCE = "an advance"
 """What a delay that is turned round is."""
+
+_FOR_A_WHILE = {"parameter_jump": "change of {where}"}
+"""What is over again is no jump."""
 
 _DEAD_TIME = "dead time of {where} (it acts late)"
 _DELAYS = {
@@ -107,6 +113,8 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
         law = description.partition(",")[0].removeprefix("an ").removeprefix("a ")
         return f"{law} in {place}"
     words = _NAMES[kind].format(place=place, where=at, own=own, source=source or "the state")
+    if description.endswith(FOR_A_WHILE):
+        return f"{_FOR_A_WHILE.get(kind, words).format(where=at)} {FOR_A_WHILE}"
     return f"{words} ({variant})" if variant else words
 
 

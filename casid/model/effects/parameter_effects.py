@@ -12,6 +12,7 @@ from casid.model.clock_signals import RampOver, StepAt
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Motion, Sizes, Spread
+from casid.model.effects.names import FOR_A_WHILE
 from casid.model.effects.place import is_amount, is_mechanical, is_zero
 from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS, UNNAMED_EFFECTS
 from casid.model.model import Model
@@ -35,15 +36,22 @@ def ramp_over(start: float, stop: float) -> Input:
     return Input(name, "1", "generated", "foh", RampOver(start, stop))
 
 
-def parameter_jump(model: Model, name: str, time: float) -> Effect:
-    """A parameter that changes its value at `time` (seconds of the record's clock).
+def since(model: Model, time: float, end: float | None = None) -> Any:
+    """An expression that is 1 from `time` on, or until `end` (seconds of the record's clock)."""
+    begun = model.add_input(step_at(time))
+    return begun if end is None else begun - model.add_input(step_at(end))
 
-    A jump at a searched instant costs as much as three parameters (Zhang and Siegmund 2007).
+
+def parameter_jump(model: Model, name: str, time: float, end: float | None = None) -> Effect:
+    """A parameter that changes its value at `time`, and back at `end` where one is given.
+
+    Both are seconds of the record's clock. A jump at a searched instant costs as much as three
+    parameters (Zhang and Siegmund 2007), and each instant as much as two.
     """
     old = model.parameters[name]
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        s = new.add_input(step_at(time))
+        s = since(new, time, end)
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"jump_{name}", old.unit, 0.0)
@@ -53,9 +61,20 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
         (p,),
         apply,
         variant=time,
-        cost=PARAMETER_JUMPS.cost,
-        constants={"time": time},
+        cost=cost_of_instants(end),
+        description="" if end is None else f"the parameter {name} changes {FOR_A_WHILE}",
+        constants=instants(time, end),
     )
+
+
+def cost_of_instants(end: float | None) -> int:
+    """Parameters that a size at one searched instant costs, or at two."""
+    return PARAMETER_JUMPS.cost if end is None else PARAMETER_JUMPS.cost_of_two
+
+
+def instants(time: float, end: float | None) -> dict[str, float]:
+    """The constants of what sets in, and may end."""
+    return {"time": time} if end is None else {"time": time, "end": end}
 
 
 def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Effect:

@@ -40,6 +40,12 @@ class ParameterJumps:
     cost: int = _is(
         3, "parameters that a jump at a searched instant costs", _CATALOGUE, "Zhang, Siegmund 2007"
     )
+    cost_of_two: int = _is(
+        5,
+        "parameters that a change costs which is over again: a size and two searched instants",
+        f"{_TESTS}/test_clock_effects.py",
+        "Zhang, Siegmund 2007",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,27 @@ def test_a_force_that_sets_in_is_a_slope_from_its_instant_on():
     assert got[-1] == pytest.approx(3.0 / MASS * (T[-1] - AT), abs=3.0 / MASS * TS)
 
 
+def test_a_force_that_ends_leaves_the_speed_that_it_gave():
+    effect = offset_step(cart(), "force", AT, AT + 5.0)
+    assert (effect.end, effect.cost) == (AT + 5.0, PARAMETER_JUMPS.cost_of_two)
+    got = speed(effect.extend(cart()), F_0=3.0)
+    assert got == pytest.approx(3.0 / MASS * np.clip(T - AT, 0.0, 5.0), abs=3.0 / MASS * TS)
+    moved = at_instant(effect, cart(), 2.0, 3.0)
+    assert (moved.variant, moved.end, moved.key) == (2.0, 3.0, effect.key)
+
+
+def test_a_parameter_changes_back():
+    pushed = casid.Model("pushed cart")
+    v, F = pushed.state("v", "m/s", initial=0.0), pushed.parameter("F", "N", start=1.0)
+    pushed.balance(v, "force", inertia=MASS, terms=[F], unit="N")
+    pushed.output("speed", v, "m/s")
+    effect = parameter_jump(pushed, "F", AT, AT + 5.0)
+    got = speed(effect.extend(pushed), jump_F=3.0)
+    expected = T / MASS + 3.0 / MASS * np.clip(T - AT, 0.0, 5.0)
+    assert got == pytest.approx(expected, abs=3.0 / MASS * TS)
+    assert effect.description == "the parameter F changes for a while"
+
+
 def test_a_knock_leaves_its_impulse_over_the_mass():
     got = speed(knock(cart(), "force", AT, TS).extend(cart()), J_force=0.5)
     assert got[T < AT - TS] == pytest.approx(0.0)

@@ -1,0 +1,146 @@
+"""Changes that are over before the record is."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import casid
+from casid.diagnosis.evidence.score_tests import Family, Score, ScoreTable
+from casid.diagnosis.search.temporary_changes import temporary_changes
+from casid.diagnosis.thresholds import SHORTLIST
+from casid.model.effects.clock_effects import bias_step, offset_step
+from casid.model.effects.effect import Effect
+from casid.model.effects.parameter_effects import parameter_jump
+
+TS, N, NOISE = 0.1, 1000, 5e-3
+BEGIN, END = 25.0, 45.0
+REST = (
+    "sensor_scale hold time_delay actuator_lag sensor_lag missing_mode scheduled_parameter "
+    "periodic_disturbance quadratic_damping cubic_damping unknown end_stop saturation outliers "
+    "actuator_saturation rectified backlash deadzone cross_axis"
+).split()
+
+
+def leak() -> casid.Problem:
+    m = casid.Model("leak")
+    h, q = m.state("h", "m"), m.input("q", "m/s", hold="zoh", known=True)
+    k = m.parameter("k", "1/s", start=0.5, lower=0.01, upper=10.0)
+    m.balance(h, "volume", inertia=1, terms=[q, -k * h], unit="m/s")
+    m.output("level", h, "m")
+    return casid.Problem("leak", m)
+
+
+def record(*, leaks: float = 0.0, flows: float = 0.0, stays: bool = False) -> casid.Record:
+    """100 s of dh/dt = q + w - k h, sampled exactly, with another k or w from 25 to 45 s."""
+    rng = np.random.default_rng(6)
+    q = np.repeat(rng.uniform(0.0, 1.0, N // 20), 20)
+    level, h = np.empty(N), 1.0
+    for i, inflow in enumerate(q):
+        level[i] = h
+        is_on = i * TS >= BEGIN and (stays or i * TS < END)
+        k, w = (0.6 + leaks, flows) if is_on else (0.6, 0.0)
+        h = (inflow + w) / k + (h - (inflow + w) / k) * np.exp(-k * TS)
+    level += NOISE * rng.standard_normal(N)
+    return casid.Record({"q": q, "level": level}, {"q": "m/s", "level": "m"}, Ts=TS, name="run")
+
+
+def diagnosed(of: casid.Record) -> casid.Diagnosis:
+    return casid.diagnose(leak(), of, starts=1, advise=False, without=REST)
+
+
+def sizes(cause: object) -> dict[str, object]:
+    return {p.name: p for p in cause.parameters}  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("effect", "size", "name", "kind"),
+    [
+        ("leaks", 0.3, "jump_k", "parameter_jump"),
+        pytest.param("flows", 0.2, "F_0", "offset", marks=pytest.mark.slow),
+    ],
+)
+def test_what_is_on_for_a_while_is_one_cause_with_both_instants(
+    effect: str, size: float, name: str, kind: str
+):
+    """A held step sets in half a sample before the first sample of which it is all."""
+    (cause,) = diagnosed(record(**{effect: size})).causes  # type: ignore[arg-type]
+    found = sizes(cause)
+    assert cause.kind == kind
+    assert "for a while" in cause.sentence
+    assert "for a while" in cause.words
+    for what, true in ((name, size), ("time", BEGIN - 0.05), ("end", END - 0.05)):
+        p = found[what]
+        assert 0.0 < p.std_error < 0.1 * abs(true)  # type: ignore[attr-defined]
+        assert abs(p.value - true) < 4 * p.std_error  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_what_stays_is_a_jump():
+    (cause,) = diagnosed(record(leaks=0.3, stays=True)).causes
+    assert cause.kind == "parameter_jump"
+    assert "end" not in sizes(cause)
+    assert cause.words == "jump of k"
+
+
+def test_a_record_without_a_change_has_none():
+    assert diagnosed(record()).causes == ()
+
+
+def table_of(effects: list[Effect], signatures: np.ndarray, residual: np.ndarray) -> ScoreTable:
+    """Scores of signatures (M, K) of a white residual (M,), as `score_test` has them."""
+    z, energy = signatures.T @ residual, np.sum(signatures**2, axis=0)
+    size = np.sqrt(energy)
+    scores = tuple(
+        Score(e, float(z[i] / size[i]), 1e-9, 1e-9, energy[i], z[i] / energy[i], u, 0.5)
+        for i, (e, u) in enumerate(zip(effects, (z**2 / energy).tolist(), strict=True))
+    )
+    cosines = signatures.T @ signatures / np.outer(size, size)
+    return ScoreTable(scores, cosines, 0, Family(np.empty(0), len(scores)))
+
+
+def of_samples(n: int) -> object:
+    return SimpleNamespace(model=leak().model, criterion=SimpleNamespace(n_samples=n))
+
+
+def test_the_scores_of_steps_are_those_of_every_pair_of_them():
+    """A change by 2 from the third instant to the sixth; a regression gives the same numbers."""
+    rng, n = np.random.default_rng(0), 700
+    times = [100.0 * k for k in range(1, 7)]
+    steps = np.array([np.arange(n) >= t for t in times], dtype=float).T
+    steps -= steps.mean(axis=0)
+    residual = 2.0 * (steps[:, 2] - steps[:, 5]) + 0.1 * rng.standard_normal(n)
+    effects = [parameter_jump(leak().model, "k", t) for t in times]
+    (found,) = temporary_changes(of_samples(n), table_of(effects, steps, residual))  # type: ignore
+    assert (found.effect.variant, found.effect.end) == (300.0, 600.0)
+    own = steps[:, 2] - steps[:, 5]
+    assert found.step == pytest.approx(own @ residual / (own @ own))
+    assert found.unrobust == pytest.approx((own @ residual) ** 2 / (own @ own))
+    assert found.effect.cost == 5
+
+
+def test_a_step_that_explains_as_much_alone_has_no_second_instant():
+    n, times = 700, [100.0 * k for k in range(1, 7)]
+    steps = np.array([np.arange(n) >= t for t in times], dtype=float).T
+    steps -= steps.mean(axis=0)
+    residual = 2.0 * steps[:, 2] + 0.1 * np.random.default_rng(1).standard_normal(n)
+    effects = [parameter_jump(leak().model, "k", t) for t in times]
+    assert temporary_changes(of_samples(n), table_of(effects, steps, residual)) == []  # type: ignore
+
+
+def test_few_changes_for_a_while_are_refitted():
+    n, times = 700, [100.0 * k for k in range(1, 7)]
+    steps = np.array([np.arange(n) >= t for t in times], dtype=float).T
+    steps -= steps.mean(axis=0)
+    residual = 2.0 * (steps[:, 2] - steps[:, 4])
+    model = leak().model
+    every = [
+        *(parameter_jump(model, "k", t) for t in times),
+        *(offset_step(model, "volume", t) for t in times),
+        *(bias_step(model, "level", t) for t in times),
+    ]
+    signatures = np.hstack([steps, 0.9 * steps, 0.8 * steps])
+    found = temporary_changes(of_samples(n), table_of(every, signatures, residual))  # type: ignore
+    assert len(found) == SHORTLIST.passing
