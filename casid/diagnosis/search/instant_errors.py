@@ -56,14 +56,15 @@ def moved_in_time(model: Model, adopted: Sequence[Adopted], fit: Fit) -> list[Ca
     step = np.linalg.pinv(at.left.T @ at.left, hermitian=True) @ (at.left.T @ at.residual)
     if np.all(np.abs(step) < JUMPS.still * np.sqrt(np.maximum(np.diag(at.covariance), 0.0))):
         return None
-    start, stop = (f([float(d.t[i]) for d in fit.criterion.data]) for f, i in ((min, 0), (max, -1)))
+    data = fit.criterion.data
+    start, stop = min(float(d.t[0]) for d in data), max(float(d.t[-1]) for d in data)
     steps, causes = iter(step.tolist()), []
     timed = {id(a) for a in own}
     for a in adopted:
         effect = a.candidate.effect
         if id(a) in timed:
             times = [t + next(steps) for t, _ in _ends(effect)]
-            if not start < times[0] < times[-1] + (len(times) == 1) < stop + 1:
+            if times != sorted(times) or not start < times[0] <= times[-1] < stop:
                 return None
             effect = at_instant(effect, model, *times)
         causes.append(replace(a.candidate, effect=effect))

@@ -64,10 +64,8 @@ def _between(
     Ts = min(d.Ts for d in at.criterion.data)
     reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
     for _ in range(JUMPS.scans):
-        ends = (found.effect.variant, found.effect.end)
+        ends = [found.effect.constants[name] for name in ("time", "end")]
         grid = reach * np.linspace(-1, 1, JUMPS.ends)
-        assert ends[0] is not None
-        assert ends[1] is not None
         times = [[float(t) for t in end + grid if start < t < stop] for end in ends]
         steps = [[at_instant(found.effect, found.model, t) for t in side] for side in times]
         left = scan_pairs(found.fit, found.names[0], *steps)
