@@ -36,6 +36,7 @@ def gain_beside(
     *,
     known: Mapping[str, float],
     passing: float,
+    under: NoiseModel | None = None,
 ) -> float:
     """The most that the log-likelihood gains where one effect explains a part of the residual.
 
@@ -48,10 +49,12 @@ def gain_beside(
     effects : by their place among the effects of the columns.
     known : channel -> standard deviation of its white noise, where it is known.
     passing : the gain that decides.
+    under : the noise under which effects are first taken out, default that with the disturbance.
+        Beside a slow force what sets in at an instant is seen there alone, and missed next to it.
     """
     parts = [plain.of_record(plain.wide.start, e) for e in range(len(plain.wide.data))]
     residual, tangent, signatures = ([part[i] for part in parts] for i in range(3))
-    own = _Residual(bare, residual, known)
+    own = _Residual(bare, residual, known, bare.noise if under is None else under)
 
     def gains(of: Sequence[int], rounds: int) -> list[float]:
         nothing = own.minus_log_likelihood(tangent, rounds)
@@ -74,17 +77,18 @@ class _Residual:
     bare: Weighted
     parts: Sequence[Array]
     known: Mapping[str, float]
+    under: NoiseModel
 
     def minus_log_likelihood(self, columns: Sequence[Array], rounds: int) -> float:
         """Minus the log-likelihood where columns (M, n) of each record explain a part of it.
 
-        The disturbance is sought anew in what they leave; they, first under the disturbance of the
-        model without the effect, then under that. Of a single round the disturbance is the model's,
-        adjusted. The first columns are those of the model's own unknowns.
+        The disturbance is sought anew in what they leave; they, first under `under`, then under
+        that. Of a single round the disturbance is the model's, adjusted. The first columns are
+        those of the model's own unknowns.
         """
-        bare, at, noise = self.bare, self.bare.criterion, self.bare.noise
+        bare, at, noise = self.bare, self.bare.criterion, self.under
         least = minus_log_likelihood(bare)
-        near = noise.spectra if rounds == 1 else None
+        near = bare.noise.spectra if rounds == 1 else None
         shapes = [(d.N, len(at.weights)) for d in at.data]
         for _ in range(rounds):
             step = self._step(noise, columns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,13 @@ from casid.diagnosis.evidence import prewhitening
 from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.signature_columns import extended_columns
-from casid.diagnosis.search.disturbance_alone import disturbance_alone
+from casid.diagnosis.evidence.sufficiency import error_over_noise
+from casid.diagnosis.search.disturbance_alone import disturbance_alone, is_resolved
 from casid.diagnosis.search.disturbance_price import price_of
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.thresholds import DISTURBED
+from casid.diagnosis.thresholds import DISTURBED, REFITS
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.holdout import split_records
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -26,31 +29,57 @@ from casid.model.effects.balance_effects import quadratic_damping
 from tests.diagnosis.search.test_disturbances import hull, record
 
 
-def started(seed: int, drag: float = 0.0) -> tuple[Search, Weighted, Fit]:
+def noisy(of: casid.Record, sd: float = 0.012) -> casid.Record:
+    """The same with sensors that have more noise: the waves are some six times theirs."""
+    rng = np.random.default_rng(7)
+    moved = {n: of[n] + sd * rng.standard_normal(of.N) for n in ("roll", "rate")}
+    return casid.Record({"fin": of["fin"], **moved}, of.units, Ts=of.Ts)
+
+
+def started(of: casid.Record) -> tuple[Search, Weighted, Fit]:
     """The model of a hull in a sea before anything is sought."""
     model, once = hull().model, FitSettings(starts=1)
-    split = split_records([casid.Experiment(record(seed, drag=drag), {}, "sea")], 0.3)
+    split = split_records([casid.Experiment(of, {}, "sea")], 0.3)
     weighing = Weighing(split.fitted)
     base = fit_model(model, split.fitted, once)
     return Search(weighing, {}), weighing.weigh(model, base), base
 
 
 def test_a_sea_alone_leaves_nothing_to_seek() -> None:
-    search, start, base = started(1)
+    search, start, base = started(noisy(record(1)))
     alone = disturbance_alone(search, start, base)
     assert alone is not None
     assert list(alone.noise.spectra) == ["moment"]
 
 
 def test_a_drag_in_a_sea_has_to_be_sought() -> None:
-    search, start, base = started(3, drag=1.5)
+    search, start, base = started(noisy(record(3, drag=1.5)))
     assert disturbance_alone(search, start, base) is None
+
+
+def test_a_model_that_errs_by_many_times_the_noise_is_searched() -> None:
+    search, start, base = started(record(1))
+    assert error_over_noise(base, start.noise) > REFITS.far
+    assert disturbance_alone(search, start, base) is None
+
+
+@pytest.mark.parametrize("width", [0.5, 2.0])
+def test_a_band_that_may_be_a_line_is_searched(width: float) -> None:
+    """A line is as wide as one part in the length of the record; half of that is not resolved."""
+    frequency, length = 1.0, 210.0
+    damping = np.pi * width / (frequency * length)
+    spectra = {"moment": DisturbanceSpectrum(frequency, damping, is_band=True)}
+    data = [SimpleNamespace(N=2100, Ts=0.1)]
+    at: Any = SimpleNamespace(
+        noise=SimpleNamespace(spectra=spectra), criterion=SimpleNamespace(data=data)
+    )
+    assert is_resolved(at) == (width > 1.0)
 
 
 @pytest.mark.slow
 def test_no_candidate_is_refitted_in_a_sea() -> None:
     said: list[str] = []
-    found = casid.diagnose(hull(), record(2), advise=False, progress=said.append)
+    found = casid.diagnose(hull(), noisy(record(2)), advise=False, progress=said.append)
     assert (found.verdict, found.causes) == ("adequate", ())
     assert said
     assert not [line for line in said if line.startswith("refit")]
@@ -64,7 +93,7 @@ def test_a_step_gains_most_of_what_the_refit_of_an_effect_gains_beside_a_sea(see
     What a step has to gain for a search is below that share of what pays for an effect. Both
     likelihoods are maxima over the sea's spectrum, of which each is found to half a unit.
     """
-    search, start, base = started(seed, drag=1.5)
+    search, start, base = started(record(seed, drag=1.5))
     bare = search.under_disturbance(base)
     at = replace(bare, fit=bare.unbiased or bare.fit)
     drag = quadratic_damping(start.model, "moment")
@@ -88,7 +117,7 @@ def test_a_sea_is_found_next_to_the_truth_where_a_far_residual_shows_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Fitted without a disturbance the model may err so that forces look white."""
-    search, _, base = started(1)
+    search, _, base = started(record(1))
     asked: list[bool] = []
 
     def hidden_at_first(noise: NoiseModel, *args: Any, **kwargs: Any) -> NoiseModel:
