@@ -139,8 +139,9 @@ def header_unit(column: str) -> HeaderUnit | None:
         if found.unit is not None or found.why or bracket[2] is not None:
             return found
         return None  # (filtered) is part of the name
-    if " / " not in column and _reads(column) is not None and column[:2] != "t/":
-        return None  # a unit without a name; t / s is a time in seconds, not tonnes
+    named = " / " in column or column[:2] == "t/" or _IN.fullmatch(column)
+    if not named and _reads(column) is not None:
+        return None  # a unit without a name; t / s and t in s are times in seconds, not tonnes
     space = _SPACE.fullmatch(column)
     if space and "/" in space[2][1:] and not space[1].endswith("/") and _reads(space[2]):
         return HeaderUnit(space[2], _reads(space[2]), space[1], True)

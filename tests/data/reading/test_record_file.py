@@ -62,6 +62,15 @@ def test_a_file_is_read_in_si_units_with_its_history(csv):
     assert step in record.provenance
 
 
+def test_a_name_that_is_a_unit_itself_may_be_in_another_unit(csv):
+    """As a product of units, tonne inch second and metre inch kilogram, they named no quantity."""
+    path = csv("t in ms,m in kg,h in cm,V in V\n0,1,100,3\n500,2,200,4\n1000,3,300,5\n")
+    record = read_record(path)
+    assert record.Ts == pytest.approx(0.5)
+    assert dict(record.units) == {"m in kg": "kg", "h in cm": "m", "V in V": "V"}
+    assert record["h in cm"].tolist() == [1.0, 2.0, 3.0]
+
+
 def test_a_unit_that_a_column_s_name_ends_in_stands_once(csv):
     record = read_record(csv(rows(np.arange(9.0), header="Zeit [s],u [V],kraft_N")))
     said = "; ".join(record.provenance)
