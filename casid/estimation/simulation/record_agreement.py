@@ -52,7 +52,11 @@ def disagreements(fit: Fit) -> list[str]:
 
 
 def _own_step(fit: Fit, e: int) -> dict[int, tuple[float, float]]:
-    """(1) of one record and its standard error, by variable; those that it determines alone."""
+    """(1) of one record and its standard error, by variable; those that it determines alone.
+
+    None of a record with few samples for each of its unknowns: it follows them nearly exactly, and
+    what is left of its residual says nothing of their errors.
+    """
     c = fit.criterion
     residual, jacobian = c.columns(fit.x, e)
     flat = jacobian.reshape(-1, jacobian.shape[2])
@@ -61,6 +65,9 @@ def _own_step(fit: Fit, e: int) -> dict[int, tuple[float, float]]:
         return {}
     free = (np.diag(hessian) > 0) & fit.solution.is_free
     index = np.flatnonzero(free)
+    counted = int(np.any(jacobian != 0, axis=2).sum())
+    if counted < RECORD_AGREEMENT.samples * len(index):
+        return {}
     part = hessian[np.ix_(index, index)]
     scale = np.array([v.scale for v in c.variables])
     names = [c.names[i] for i in index]

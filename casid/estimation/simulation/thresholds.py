@@ -35,6 +35,12 @@ class RecordAgreement:
         "chi^2 over its degrees of freedom, at least: errors twice as large as they are given",
         _AGREEMENT,
     )
+    samples: int = _is(
+        5,
+        "samples a record has for each of its unknowns, at least: with fewer its residual is too "
+        "small to give their errors, which come out below half of what they are",
+        _AGREEMENT,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,3 +64,11 @@ def test_a_model_that_explains_nearly_nothing_is_warned_of():
         "next to nothing" in w
         for w in casid.identify(casid.Problem("store", tank(), starts=1), e).warnings
     )
+
+
+def test_a_record_with_few_samples_for_its_unknowns_says_nothing_of_its_own_estimate():
+    """Five samples about a step of heat, for a loss, a gain and an initial state: two are left."""
+    few = [recorded(f"run {k}", 2.0, k).record.between(13.5, 15.5) for k in range(4)]
+    assert few[0].N == 5
+    few = [casid.Experiment(record, name=f"run {k}") for k, record in enumerate(few)]
+    assert not disagreements(recorded("june", 2.0, 1), *few)
