@@ -301,7 +301,8 @@ class Problem(Viewed):
         headed = as_headed(table.columns, self.columns(mapping))
         specs = self._present(table.columns, headed, mapping or {})
         unused = self._unused(table, specs, ignore)
-        record = record_of(table, {**specs, **unused.specs}, options)
+        held = [name for name, entry in self.model.inputs.items() if entry.hold == "zoh"]
+        record = record_of(table, {**specs, **unused.specs}, replace(options, held=held))
         record = replace(record, provenance=(*record.provenance, *unused.lines))
         return record, {name: spec.column for name, spec in unused.specs.items()}
 

@@ -13,7 +13,7 @@ from casid.data.reading.clocks import OFF_GRID, jitter_text
 from casid.data.sampling import gaps_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
 SPARSEST = 20
 """Samples of an even clock for one row, at most: more would be a record of missing samples."""
@@ -72,37 +72,41 @@ class EvenClock:
         return out
 
     def spread(
-        self, values: Mapping[str, FloatArray], missing: Mapping[str, BoolArray]
-    ) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
+        self,
+        values: Mapping[str, FloatArray],
+        missing: Mapping[str, BoolArray],
+        held: Collection[str] = (),
+    ) -> tuple[dict[str, FloatArray], dict[str, BoolArray], dict[str, FloatArray]]:
         """Channels (rows,) on every sample of the clock, (N,), with what is missing of them.
 
-        A channel that has two rows at one place has their mean there.
+        A channel that has two rows at one place has their mean there. A held one has there what
+        flows in until the next sample, and at that one the last of its rows: their mean would act
+        until its next step.
+
+        Parameters
+        ----------
+        held : channels that stand from row to row, as a command does.
+
+        Returns
+        -------
+        channels, masks : (N,) values, and where there is none.
+        late : by how much each sample was taken after its instant [s], (N,); none on an even clock.
         """
-        channels, masks = {}, {}
+        channels, masks, late = {}, {}, {}
         for name, column in values.items():
             there = ~missing[name] if name in missing else np.ones(column.size, dtype=bool)
             places = self.places[there]
             count = np.bincount(places, minlength=self.N)
-            total = np.bincount(places, column[there], minlength=self.N)
-            channels[name] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+            channels[name] = _mean(column[there], places, count)
             masks[name] = count == 0
-        return channels, masks
-
-    def lateness(
-        self, channels: Iterable[str], missing: Mapping[str, BoolArray]
-    ) -> dict[str, FloatArray]:
-        """By how much each sample was taken after its instant [s], (N,); none on an even clock.
-
-        Parameters
-        ----------
-        channels : those that are spread.
-        missing : of their rows, as `spread` takes it.
-        """
-        if self.late is None:
-            return {}
-        late = self.late
-        shifts, _ = self.spread({name: late for name in channels}, missing)
-        return {name: np.nan_to_num(shift) for name, shift in shifts.items()}
+            if self.late is None:
+                continue
+            late[name] = np.nan_to_num(_mean(self.late[there], places, count))
+            if name in held and (count > 1).any():
+                masks[name] &= ~_held_at_shared_places(
+                    channels[name], late[name], column[there], self.late[there], places, self.Ts
+                )
+        return channels, masks, late
 
     def __str__(self) -> str:
         found = gaps_of(self.absent)
@@ -125,6 +129,58 @@ class EvenClock:
             f"{found.missing} of {self.N} rows are absent from an even clock of {self.Ts:.6g} s, "
             f"{found.longest} in a row at most: marked missing"
         )
+
+
+def _mean(rows: FloatArray, places: NDArray[np.intp], count: NDArray[np.intp]) -> FloatArray:
+    """(N,) mean of the rows of each place, NaN where there is none."""
+    total = np.bincount(places, rows, minlength=count.size)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _held_at_shared_places(
+    channel: FloatArray,
+    late: FloatArray,
+    column: FloatArray,
+    lateness: FloatArray,
+    places: NDArray[np.intp],
+    Ts: float,
+) -> BoolArray:
+    """Let a held column flow in as it did where several of its rows share a place; in place.
+
+    The steps of these rows, each with its own lateness, leave their mean over the interval in the
+    sample, and the last row's value in the next one. What flows in before the sample is that of
+    its step, which comes as much earlier.
+
+    Parameters
+    ----------
+    channel, late : (N,) what is corrected: values, and s after the instant.
+    column, lateness, places : (rows,) values, s after the instant, samples.
+
+    Returns
+    -------
+    (N,) True where the column has a value now, and may have had none.
+    """
+    added = np.zeros(channel.size, dtype=bool)
+    step, shares = np.diff(column, prepend=column[:1]), lateness / Ts
+    first, count = np.unique(places, return_index=True, return_counts=True)[1:]
+    for begin, rows in zip(first[count > 1].tolist(), count[count > 1].tolist(), strict=True):
+        mine, k = slice(begin, begin + rows), int(places[begin])
+        last = float(column[mine][-1])
+        early = float(-np.minimum(shares[mine], 0.0) @ step[mine])  # what flows in before the place
+        channel[k], late[k] = last - float(np.maximum(shares[mine], 0.0) @ step[mine]), 0.0
+        is_there = k > 0 and not np.isnan(channel[k - 1])
+        rise = channel[k] - (channel[k - 1] if is_there else column[max(begin - 1, 0)])
+        if early * rise > 0.0:
+            late[k] = -Ts * early / rise
+        else:
+            channel[k] += early
+        if k + 1 == channel.size or channel[k] == last:
+            continue
+        if np.isnan(channel[k + 1]):
+            channel[k + 1], late[k + 1], added[k + 1] = last, 0.0, True
+        elif channel[k + 1] != channel[k]:  # what is late is the step from the last row's value
+            late[k + 1] *= (channel[k + 1] - last) / (channel[k + 1] - channel[k])
+    return added
 
 
 def even_clock(times: FloatArray, there: Mapping[str, BoolArray] | None = None) -> EvenClock | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -54,6 +54,7 @@ class ReadingOptions:
 
     `takes_gaps`: empty cells are missing samples, and rows that an even clock leaves out as well;
     otherwise either is a fault. Then, and with `mark_missing`, channels may have own clocks.
+    `held`: channels that stand until their next row (`EvenClock.spread`).
     """
 
     time: Time = None
@@ -64,6 +65,7 @@ class ReadingOptions:
     mark_missing: bool = False
     form: FileFormat | None = None
     takes_gaps: bool = False
+    held: Collection[str] = ()
 
     @property
     def format(self) -> FileFormat:
@@ -131,7 +133,7 @@ def survey(
         return found
     part = f"@{_window_text(window)}" if window is not None else ""
     label = options.name or f"{_stem(source)}{part}"
-    found.record = _record(channels, found, resample, label, steps, clock)
+    found.record = _record(channels, found, options, label, steps, clock)
     return found
 
 
@@ -432,18 +434,18 @@ def _is_even(
 def _record(
     channels: _Channels,
     found: Survey,
-    resample: float | None,
+    options: ReadingOptions,
     name: str,
     steps: list[str],
     clock: EvenClock | None = None,
 ) -> Record | None:
     """The record, resampled on request; None, with a fault noted, where it fails."""
+    resample = options.resample
     values, units, missing, times = channels.values, channels.units, channels.missing, found.times
     assert times is not None
     if clock is not None:
         found.notes.append(str(clock))
-        late = clock.lateness(values, missing)
-        values, missing = clock.spread(values, missing)
+        values, missing, late = clock.spread(values, missing, options.held)
         steps = [*steps, f"remark: {clock}"]
         t0 = float(times[0]) + clock.first
         return Record(values, units, clock.Ts, t0, name, missing, tuple(steps), late)

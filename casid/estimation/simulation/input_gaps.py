@@ -18,6 +18,7 @@ from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.data.sampling import Gaps, gaps_of, stretches_of
 from casid.errors import DataError
+from casid.estimation.simulation.own_instants import lateness_of_steps
 from casid.estimation.simulation.thresholds import INPUT_GAPS
 from casid.model.declarations import Hold
 from casid.model.model import Model
@@ -93,7 +94,7 @@ def has_row_at_every_step(model: Model, record: Record, name: str) -> bool:
 
     Doses are written so: a row for each sample that was taken, and one for each change of the
     command, in which nothing was measured. A command without a row has then not changed. A file
-    that a logger wrote has no such rows, or rows of the command at which it did not step.
+    that a logger wrote has no such rows, or rows of the command at which no column stepped.
 
     Parameters
     ----------
@@ -107,13 +108,24 @@ def has_row_at_every_step(model: Model, record: Record, name: str) -> bool:
     is_alone = np.all(measured, axis=0)[rows]
     steps = np.diff(record[name][rows], prepend=record[name][rows[0]]) != 0
     alone_at_step = int(np.sum(is_alone & steps))
-    at_rest = is_alone & ~steps
+    at_rest = is_alone & ~steps & ~_step_of_another(record, rows, {name, *model.outputs})
     return bool(
         alone_at_step > 0
         and 2 * alone_at_step >= steps.sum()
         and 2 * steps.sum() <= len(rows)
         and not at_rest[1:-1].any()
     )
+
+
+def _step_of_another(record: Record, rows: Array, but: Collection[str]) -> BoolArray:
+    """Rows at which another column of events steps, which does so in half of its own at most."""
+    stepping = np.zeros(record.N, dtype=bool)
+    for other in [name for name in record.channels if name not in but]:
+        own = np.flatnonzero(~record.is_missing(other))
+        steps = own[1:][np.diff(record[other][own]) != 0]
+        if 2 * len(steps) <= len(own):
+            stepping[steps] = True
+    return stepping[rows]
 
 
 def require_short_gaps(record: Record, names: Sequence[str]) -> None:
@@ -172,7 +184,7 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
     if not any(mask.any() for mask in record.missing.values()):
         return record
     alike: dict[tuple[str, Gaps], list[str]] = {}
-    channels, missing = dict(record.channels), dict(record.missing)
+    channels, missing, late = dict(record.channels), dict(record.missing), dict(record.late)
     doubtful, lines = doubtful_inputs(model, record), []
     for name in recorded_inputs(model, record):
         hold = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
@@ -181,6 +193,8 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
         else:
             lines.append(f"{FILLED}{name} has a row at each of its steps: it is held between them")
         channels[name] = filled(record, name, model.inputs[name].hold)
+        if name in late and model.inputs[name].hold == "zoh":
+            late[name] = lateness_of_steps(record, name)
         del missing[name]
     lines += [_filling(names, hold, gaps, record) for (hold, gaps), names in alike.items()]
     for name in [n for n in missing if n in beside and n not in model.outputs]:
@@ -192,7 +206,7 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
     for name in [n for n in missing if not missing[n].all()]:
         channels[name] = record.filled(name)
     provenance = (*record.provenance, *lines)
-    return replace(record, channels=channels, missing=missing, provenance=provenance)
+    return replace(record, channels=channels, missing=missing, provenance=provenance, late=late)
 
 
 def _filling(names: Sequence[str], how: str, found: Gaps, record: Record) -> str:

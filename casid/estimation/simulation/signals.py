@@ -12,6 +12,7 @@ from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, UnitError
 from casid.estimation.simulation.input_gaps import doubtful_inputs, filled, require_short_gaps
+from casid.estimation.simulation.own_instants import Instants, own_instants
 from casid.estimation.simulation.rounding import rounding_of
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si
@@ -33,6 +34,7 @@ class Signals:
     known: Mapping[str, float]
     filled: Mapping[str, BoolArray] = field(default_factory=dict)  # input -> (N,) not recorded
     rounding: Mapping[str, float] = field(default_factory=dict)  # input -> sd of its rounding
+    instants: Instants | None = None  # where they were taken, of a record with an irregular clock
 
     @property
     def N(self) -> int:
@@ -74,6 +76,11 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
             for i, (name, entry) in enumerate(model.inputs.items())
             if entry.kind == "measured" and (sd := rounding_of(u[:, i])) > 0.0
         },
+        instants=own_instants(
+            record,
+            list(model.outputs),
+            [name for name, entry in model.inputs.items() if entry.hold == "zoh"],
+        ),
     )
 
 

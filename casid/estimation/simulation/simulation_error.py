@@ -27,6 +27,7 @@ from casid.estimation.simulation.measured_states import (
     measured_states,
     output_equations,
 )
+from casid.estimation.simulation.own_instants import at_own_instants
 from casid.estimation.simulation.sensor_dynamics import (
     MEMORY,
     Before,
@@ -361,6 +362,7 @@ class SimulationError:
             for k, i in enumerate(stepping)
         }
         self._through_sensors(y, jac, p, d, self._index[experiment][0], steps)
+        at_own_instants(y, jac, d.instants, steps, cuts)
         return y, states, jac
 
     def _prepared_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
@@ -417,10 +419,9 @@ class SimulationError:
         with np.errstate(all="ignore"):
             y, states, jac = self.simulate(x, experiment, signals=d, tangent=True)
         assert jac is not None
-        used = d.used
-        if not used.all():
-            jac *= used[:, :, None]
-        return Simulated(y, np.where(used, d.y - y, 0.0), jac, states)
+        if not d.used.all():
+            jac *= d.used[:, :, None]
+        return Simulated(y, np.where(d.used, d.y - y, 0.0), jac, states)
 
     def columns(
         self, x: Array, experiment: int, *, signals: Signals | None = None
@@ -477,8 +478,7 @@ class SimulationError:
                 part = inputs[cuts[i] : cuts[i + 1]]
                 run = simulator.sensitivities(part, p, x0, after=inputs[cuts[i + 1]])
                 index, nxt = self._index[e][i], self._index[e][i + 1][-nx:]
-                j = np.zeros((nx, n))
-                keep = index >= 0
+                j, keep = np.zeros((nx, n)), index >= 0
                 assert run.dx_end is not None
                 j[:, index[keep]] = run.dx_end[:, keep]
                 j[np.arange(nx), nxt] -= 1.0

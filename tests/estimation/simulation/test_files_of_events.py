@@ -42,8 +42,11 @@ def concentration(at: np.ndarray) -> np.ndarray:
     return out
 
 
-def written(path: Path, rows_at_rest: int = 0) -> Path:
-    """Samples in pairs of a few minutes around a few instants, half a day apart at most."""
+def written(path: Path, rows_at_rest: int = 0, meals: bool = False) -> Path:
+    """Samples in pairs of a few minutes around a few instants, half a day apart at most.
+
+    With `meals`, rows at rest are those at which a second column steps.
+    """
     rng = np.random.default_rng(4)
     about = np.concatenate([[1.0, 3.0, 25.0, 28.0], rng.uniform(4.0, 70.0, 18)])
     taken = np.unique(np.round(np.concatenate([about, about + rng.uniform(0.03, 0.3, 22)]), 2))
@@ -53,7 +56,11 @@ def written(path: Path, rows_at_rest: int = 0) -> Path:
     cells = {**resting, **{t: "" for t, _ in DOSES}, **cells}
     rates = {t: [r for since, r in DOSES if since <= t][-1] for t in cells}
     rows = [f"{t:g},{rates[t]:g},{cells[t]}" for t in sorted(cells)]
-    path.write_text("\n".join(["time [h],rate [mg/h],c [mg/L]", *rows]) + "\n")
+    head = "time [h],rate [mg/h],c [mg/L]"
+    if meals:
+        eaten = [sum(since <= t for since in resting) % 2 for t in sorted(cells)]
+        head, rows = head + ",meal", [f"{r},{e}" for r, e in zip(rows, eaten, strict=True)]
+    path.write_text("\n".join([head, *rows]) + "\n")
     return path
 
 
@@ -77,6 +84,14 @@ def test_an_infusion_is_held_between_the_rows_of_its_steps(tmp_path: Path) -> No
         found = fit.parameter(name)
         assert found.value == pytest.approx(true, abs=3 * found.std_error), name
         assert found.std_error < 0.02 * true
+
+
+def test_a_row_of_another_column_of_events_is_no_row_at_rest(tmp_path: Path) -> None:
+    """Rows for the steps of a meal: the infusion has a row at each of its own all the same."""
+    plasma = problem()
+    run = plasma.read(written(tmp_path / "fed.csv", rows_at_rest=8, meals=True))
+    assert has_row_at_every_step(plasma.model, run.record, "rate")
+    assert len(with_gaps_treated(plasma.model, [run])) == 1
 
 
 def test_a_logger_that_was_off_is_no_file_of_events(tmp_path: Path) -> None:

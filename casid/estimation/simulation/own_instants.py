@@ -1,0 +1,96 @@
+"""Simulated outputs at the instants at which their samples were taken.
+
+A record with an irregular clock lies on an even one, on which a sample stands up to half a step
+from its own instant. The simulated output there is taken from the straight line between the two
+instants of the clock: the error is at most Ts^2/8 times its curvature, where that of the nearest
+instant is up to Ts/2 times its slope. A held input that steps between the two, as at a dose, bends
+the output there: before the step the line of the interval before is continued, behind it that of
+the one after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.record import Record
+from casid.estimation.simulation.sensor_dynamics import Before
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Instants:
+    """Where between the instants of its clock a record was taken, in samples."""
+
+    late: Array  # (N, ny) how much after its instant each output was taken, at most half either way
+    bend: Array  # (N,) how much after an instant a held input stepped before the next, NaN: none
+
+
+def own_instants(record: Record, outputs: Sequence[str], held: Sequence[str]) -> Instants | None:
+    """Of a record's outputs and held inputs; None where all stand at the instants of the clock."""
+    if not any(name in record.late for name in outputs):
+        return None
+    none, bend = np.zeros(record.N), np.full(record.N, np.nan)
+    for name in [n for n in held if n in record.late]:
+        late = lateness_of_steps(record, name) / record.Ts
+        rows = np.flatnonzero(late)
+        bend[np.where(late[rows] > 0, rows, rows - 1)] = late[rows] % 1.0
+    late = np.column_stack([record.late.get(name, none) for name in outputs]) / record.Ts
+    return Instants(late, bend)
+
+
+def lateness_of_steps(record: Record, name: str) -> Array:
+    """(N,) by how much after its instant a held input stepped [s], zero where it did not step."""
+    there = np.flatnonzero(~record.is_missing(name))
+    rows = there[1:][np.diff(record[name][there]) != 0]
+    late = np.zeros(record.N)
+    late[rows] = record.late[name][rows]
+    return late
+
+
+def at_own_instants(
+    y: Array, jac: Array | None, at: Instants | None, steps: Mapping[int, Before], cuts: Array
+) -> None:
+    """Move simulated outputs to the instants of their samples, in place.
+
+    Parameters
+    ----------
+    y : (N, ny) simulated at the instants of the clock.
+    jac : (N, ny, n) sensitivities there, None where not requested.
+    at : where they were taken; None leaves all where they are.
+    steps : of outputs that step with a held input, what they were before each step.
+    cuts : (parts + 1,) where parts that are simulated apart begin, and N.
+    """
+    if at is None:
+        return
+    for c in range(y.shape[1]):
+        rows = np.flatnonzero(at.late[:, c])
+        part = np.searchsorted(cuts, rows, side="right") - 1
+        first, last = np.asarray(cuts)[part], np.asarray(cuts)[part + 1] - 1
+        rows, first, last = (of[last > first] for of in (rows, first, last))
+        place = rows + at.late[rows, c]
+        begin = np.clip(np.where(place > rows, rows, rows - 1), first, last - 1)
+        before = steps.get(c)
+        if before is None:
+            begin = _beside_bends(begin, place, at.bend, first, last)
+        share = place - begin
+        end = y[begin + 1, c] if before is None else before.y[begin]
+        moved = y[begin, c] + share * (end - y[begin, c])
+        if jac is not None:
+            ahead = jac[begin + 1, c]
+            if before is not None and before.jac is not None:
+                ahead = before.jac[begin]
+            jac[rows, c] = jac[begin, c] + share[:, None] * (ahead - jac[begin, c])
+        y[rows, c] = moved
+
+
+def _beside_bends(begin: Array, place: Array, bend: Array, first: Array, last: Array) -> Array:
+    """The intervals whose lines hold at the places: not those with a bend, where one is beside."""
+    is_before = place - begin <= bend[begin]  # False where there is no bend
+    is_behind = place - begin > bend[begin]
+    beside = begin - is_before + is_behind
+    is_there = (beside >= first) & (beside < last)
+    beside = np.where(is_there, beside, begin)
+    return np.asarray(np.where(np.isnan(bend[beside]), beside, begin))
