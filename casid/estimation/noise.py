@@ -28,7 +28,6 @@ from casid.estimation.missing_samples import (
     UnbrokenInnovations,
     unbroken,
 )
-from casid.estimation.noise_floor import is_held, white_floor
 from casid.estimation.noise_response import Response, name_of_force, noise_response
 from casid.estimation.residual_spectra import Spectra, restricted, spectra_of
 from casid.estimation.simulation.signals import Signals
@@ -468,23 +467,3 @@ def given_variances(
     """(ny + ns,) variances of outputs and sources that are known, NaN of the others."""
     sds = [known.get(n, np.nan) for n in outputs] + [known_forces.get(n, np.nan) for n in sources]
     return np.array(sds) ** 2
-
-
-def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict[str, float]:
-    """Estimated bound on each input's white noise: the quietest spectrum near Nyquist.
-
-    The upper half band of every record is cut into twenty parts. The quietest quarter of all parts
-    is averaged, and divided by what that would be, of 1, for white noise alone: the parts of a
-    tapered periodogram are Gamma distributed, and the quietest lie below the mean. A command that
-    is held has steps up to Nyquist, but no noise: that would not repeat its values. Nor does it
-    where it is rounded: then it is that of the rounding. Samples that were filled do not count.
-    """
-    columns = {
-        name: [d.u[~d.filled[name], i] if name in d.filled else d.u[:, i] for d in signals]
-        for i, name in enumerate(inputs)
-    }
-    rounded = with_rounding(signals, {})
-    return {
-        name: rounded.get(name, 0.0) if is_held(c) else white_floor(c)
-        for name, c in columns.items()
-    }

@@ -20,7 +20,8 @@ from casid.data.files import plain_fields
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, RESIDUAL
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
+from casid.estimation.input_noise_floor import input_noise_floor
+from casid.estimation.noise import NoiseModel, estimate_noise
 from casid.estimation.noise_floor import floor_error
 from casid.estimation.noise_response import name_of_force, unit_of_force
 from casid.model.quantities import quantity_text

@@ -23,8 +23,9 @@ from casid.estimation.disturbance_likelihood import likeliest
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.left_by_noise import share_that_is_there
+from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
+from casid.estimation.noise import NoiseModel, estimate_noise
 from casid.estimation.noise_floor import white_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -19,12 +19,12 @@ from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.absorbed_noise import absorbed
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
+from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.missing_samples import unbroken
 from casid.estimation.noise import (
     NoiseModel,
     Seen,
     estimate_noise,
-    input_noise_floor,
     with_rounding,
 )
 from casid.estimation.noise_floor import floor_error

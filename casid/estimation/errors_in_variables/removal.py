@@ -17,7 +17,7 @@ from casid.estimation.errors_in_variables.input_noise import (
     possible_bias,
 )
 from casid.estimation.errors_in_variables.left_by_noise import left_by_noise, squares
-from casid.estimation.errors_in_variables.thresholds import REMOVAL
+from casid.estimation.errors_in_variables.thresholds import REMOVAL, VARIANCE_SLOPE
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError, Whitener
@@ -80,6 +80,8 @@ class Corrected:
             for n, sd in self.input_sd.items()
             if sd > 0
         )
+        if self.is_removed and not sizes:
+            return f"it moves no unknown by more than {REMOVAL.negligible:g} standard errors"
         if self.reference:
             return f"white noise on {sizes} at most is no bias to instruments"
         if self.is_removed and abs(worst) < REMOVAL.negligible:
@@ -219,7 +221,7 @@ class _Root:
             np.array([getattr(v, side) for v in self.criterion.variables])
             for side in ("lower", "upper")
         )
-        self.beside = (1 - REMOVAL.difference, 1 + REMOVAL.difference)
+        self.beside = (1 - VARIANCE_SLOPE.difference, 1 + VARIANCE_SLOPE.difference)
         self.found = found
         self.at: Equations
         self.why_not = self._sought()
@@ -318,8 +320,10 @@ class _Root:
             ]
             slope = self._slope([(each, self.found.sd) for each in changed])
         else:
-            variance = noise.source_sd[name] ** 2
-            if variance == 0.0:
+            variance, error = noise.source_sd[name] ** 2, np.sqrt(noise.variance_error(name))
+            if (
+                variance <= VARIANCE_SLOPE.nothing * error
+            ):  # at its bound, up to what a solver leaves
                 return np.zeros(len(self.x))
             alike = next((group for group in noise.alike if name in group), (name,))
             free = tuple(n for n in alike if n not in self.found.bounded)

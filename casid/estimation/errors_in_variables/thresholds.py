@@ -55,12 +55,25 @@ class Removal:
         8, "draws of missing samples, after each of which the noise is found anew", _TEST
     )
     refillings: int = _is(3, "the same, from the noise of the step before", _TEST)
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceSlope:
+    """The derivative of the equations by the variance of a noise."""
+
     difference: float = _is(0.1, "of a variance, by which it is changed for a derivative", _TEST)
+    nothing: float = _is(
+        1e-6,
+        "standard errors of a variance, up to which it is zero: its derivative would be found from "
+        "rounding",
+        _TEST,
+    )
 
 
 REMOVAL = Removal()
+VARIANCE_SLOPE = VarianceSlope()
 
-GROUPS = (REMOVAL,)
+GROUPS = (REMOVAL, VARIANCE_SLOPE)
 
 TABLE = entries(*GROUPS)
 """All of them."""

@@ -20,6 +20,7 @@ _SINGULAR = "tests/identification/test_singular_plant.py"
 _WINDOWS = "tests/diagnosis/evidence/test_unstable_records.py"
 _LOOP = "tests/estimation/test_feedback.py"
 _ROUNDING = "tests/estimation/test_rounding.py"
+_FORESEEN = "tests/estimation/simulation/test_foreseen_noise.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 
@@ -192,6 +193,28 @@ class Readings:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """How an input is foretold, to bound its noise."""
+
+    lags: int = _is(
+        6,
+        "samples back: a controller with a derivative and its filter looks back three",
+        _FORESEEN,
+    )
+    samples: int = _is(
+        10, "rows for each coefficient, at least: its error then is a twentieth", _FORESEEN
+    )
+    rounds: int = _is(10, "fits, each without what lies far off at the one before", _FORESEEN)
+    far: float = _is(4.0, "standard deviations: further off are steps of a reference", _FORESEEN)
+    rank: float = _is(1e-10, "singular values that count, relative to the largest", _FORESEEN)
+    same: float = _is(
+        1e-8,
+        "of an output's power that its input does not have: less is the same channel",
+        _FORESEEN,
+    )
+
+
 RECORD_AGREEMENT = RecordAgreement()
 FIT_BUDGET = FitBudget()
 STEPS = Steps()
@@ -202,6 +225,7 @@ MEASURED_STATES = MeasuredStates()
 TANGENTS = Tangents()
 INPUT_ANSWERS = InputAnswers()
 READINGS = Readings()
+FORESEEN = Foreseen()
 
 GROUPS = (
     RECORD_AGREEMENT,
@@ -214,6 +238,7 @@ GROUPS = (
     TANGENTS,
     INPUT_ANSWERS,
     READINGS,
+    FORESEEN,
 )
 
 TABLE = entries(*GROUPS)

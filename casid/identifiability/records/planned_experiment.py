@@ -21,7 +21,7 @@ from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
-from casid.estimation.noise import input_noise_floor
+from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
@@ -280,7 +280,7 @@ def _estimated_noise(
     floors = []
     for e in measured:
         d = criterion.data[e]
-        as_input = replace(d, u=d.y[:, [column]])
+        as_input = replace(d, u=d.y[:, [column]], y=np.zeros((d.N, 0)), used=d.used[:, [column]])
         floors.append(input_noise_floor([as_input], ["y"])["y"])
     return float(np.sqrt(np.mean(np.square(floors)))), "about, from its quietest frequencies"
 

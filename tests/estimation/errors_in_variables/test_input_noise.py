@@ -316,6 +316,28 @@ def test_the_errors_contain_those_of_the_sizes_of_the_noise() -> None:
     assert np.all(wider < 1.3)
 
 
+@pytest.mark.parametrize("sd", [0.0, 1e-13])
+def test_a_variance_that_a_solver_leaves_of_zero_adds_nothing_to_the_errors(sd) -> None:
+    """A change of rounding over a variance of 1e-26 was a derivative: errors a hundredfold."""
+    fit = fitted(4)
+    at = input_noise(fit.criterion, fit.x, {})
+    root = removal._Root(fit, {}, fit.solution.is_free, at, 0)
+    none = replace(root.found, noise=replace(root.found.noise, source_sd={"u": sd}))
+    assert none.noise.variance_error("u") > 1e-3
+    root.found = none
+    root._evaluate()
+    assert np.all(root._slope_by_variance("source", "u") == 0.0)
+    root.found = replace(none, noise=replace(none.noise, source_sd={"u": 0.3}))
+    root._evaluate()
+    assert np.any(root._slope_by_variance("source", "u") != 0.0)
+
+
+def test_a_root_whose_inputs_have_no_noise_names_none() -> None:
+    bias = {"a": 0.02}
+    at = Corrected(fitted(4), covariance=np.eye(3), input_sd={"u": 0.0}, bias=bias)
+    assert at.text == "it moves no unknown by more than 0.1 standard errors"
+
+
 def test_a_covariance_is_that_of_least_squares_where_nothing_is_noisy() -> None:
     """Without noise on inputs the slope and the variance of the equations are T'T."""
     c = SimulationError(model(), [casid.Experiment(record(5, input_sd=0.0), {}, "r")])
