@@ -274,11 +274,27 @@ def validation(fit: Fit, split: Split) -> list[HeldOut]:
     return out
 
 
+def _per_window(fit: Fit, error: Array) -> Array:
+    """Errors (N, ny) of windows with what the initial state of each takes of them given back.
+
+    It is estimated from the window alone, where n samples leave n - k parts in n of the noise's
+    power to k states: of two models that with more states would foretell better by that alone.
+    """
+    cuts = window_cuts(len(error), window_length(fit))
+    out, states = error.copy(), len(fit.criterion.model.states)
+    for first, last in zip(cuts[:-1], cuts[1:], strict=True):
+        there = int(np.sum(np.isfinite(error[first:last])))
+        if there > states:
+            out[first:last] *= np.sqrt(there / (there - states))
+    return out
+
+
 def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
     """(M, ny) held-out errors in the criterion's weighted units, NaN where not used.
 
     With `anew` the held-out end of a record starts from an initial state of its own, as a record
-    held out does: a simulation that runs on gathers the errors of an integrator.
+    held out does: a simulation that runs on gathers the errors of an integrator. Errors in windows
+    are as large as if their initial states were known (`_per_window`).
     """
     weights = fit.criterion.weights
     parts = []
@@ -287,14 +303,17 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
             first = int(np.argmax(mask))
             if _has_windows(fit):  # each begins in a state of its own
                 d, y, _ = _end_in_windows(fit, e, first)
-            else:
-                there = whole_simulation(fit, split, i)[2][first]
-                near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
-                tail = replace(e, record=_tail(e.record, first))
-                d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
+                error = np.where(d.used, d.y - y, np.nan) * weights
+                parts.append(_per_window(fit, error))
+                continue
+            there = whole_simulation(fit, split, i)[2][first]
+            near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
+            tail = replace(e, record=_tail(e.record, first))
+            d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
             parts.append(np.where(d.used, d.y - y, np.nan) * weights)
     rest = Split([], [], [], split.apart) if anew else split
-    parts += [(h.measured - h.simulated) * weights for h in validation(fit, rest)]
+    found = [(h.measured - h.simulated) * weights for h in validation(fit, rest)]
+    parts += [_per_window(fit, error) for error in found] if _has_windows(fit) else found
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
 
 

@@ -59,7 +59,7 @@ def ranked_by_remainder(
     for c in found:
         after = before - 0.5 * c.gain if is_measure else c.fit.solution.value
         after = max(after, COMPARISON.least_left * before)
-        k = c.effect.cost
+        k = c.unknowns
         gain = n * float(np.log(before / after))
         out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
     return sorted(out, key=lambda c: -_merit_beside(out, c))
@@ -200,9 +200,9 @@ def p_value(table: ScoreTable, candidate: Candidate, *, by_remainder: bool = Fal
         refit = 2 * count * float(norm.sf(np.sqrt(max(candidate.gain, 0.0) / 3)))
     else:
         refit = 2 * count * float(norm.sf(abs(candidate.wald)))
-        if by_remainder and candidate.effect.cost > 1:
+        if by_remainder and candidate.unknowns > 1:
             gain = max(candidate.gain, 0.0)
-            refit = min(refit, count * float(chi2.sf(gain, candidate.effect.cost)))
+            refit = min(refit, count * float(chi2.sf(gain, candidate.unknowns)))
     return float(max(min(score, refit, 1.0), TINY))
 
 

@@ -27,6 +27,12 @@ class Candidate:
     cost: float  # k log N
     wald: float  # robust z of the first parameter
     score: Score | None = None
+    of_windows: int = 0  # initial states that its own states have in windows, each but the first
+
+    @property
+    def unknowns(self) -> float:
+        """k: what it costs, with the states in which its own ones begin in every window."""
+        return self.effect.cost + self.of_windows
 
     @property
     def merit(self) -> float:

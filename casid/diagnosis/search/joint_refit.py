@@ -192,13 +192,16 @@ class Refitting:
             use_samples_of(base, criterion)
             before = self.weighing.compensated(at, base, base.start)
         after = self.weighing.compensated(at, criterion, fit.x)
+        windows = sum(criterion.parts(e) - 1 for e in range(len(pairs)))
+        of_windows = windows * (len(model.states) - len(at.model.states))
         return Candidate(
             effect=effect,
             names=names,
             model=model,
             fit=fit,
             gain=2 * (before - after),
-            cost=effect.cost * float(np.log(criterion.n_samples)),
+            cost=(effect.cost + of_windows) * float(np.log(criterion.n_samples)),
+            of_windows=of_windows,
             wald=wald(fit, names[0], effect.parameters[0].start),
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -14,11 +15,13 @@ from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.evidence.unstable_records import in_windows
-from casid.estimation.holdout import restarts, split_records
+from casid.diagnosis.search.joint_refit import Refitting
+from casid.estimation.holdout import _per_window, restarts, split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.instability import growth_rate, window_for
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INSTABILITY
+from casid.model.effects.structure_effects import missing_mode
 
 TS = 0.01
 J, MGL, D = 0.05, 2.0, 0.02  # kg m^2, N m, N m s/rad
@@ -249,3 +252,40 @@ def test_what_noise_of_an_input_leaves_is_what_initial_states_of_windows_do_not_
     assert by_noise > expected
     # Both that and its draw scatter as squares do of which each of 13 windows has two or three.
     assert abs(weighing.compensated(at, criterion, left.x) - expected) < 0.8 * by_noise
+
+
+def test_a_part_pays_for_the_states_in_which_it_begins_in_every_window():
+    """Nothing is missing. Two states a window follow noise, chi^2 of two for each but the first."""
+    record, window = upright(N=1000), 50
+    experiments = [casid.Experiment(record, window=window)]
+    fit = fit_model(problem().model, experiments, FitSettings(starts=1))
+    weighing = Weighing(experiments, known_noise=dict(zip(("phi", "gyro"), NOISE, strict=True)))
+    at = weighing.weigh(problem().model, fit, rounds=1)
+    part = missing_mode(problem().model, "torque", 25.0)
+    found = Refitting(weighing).refit(at, part, 0.02, near=True)
+    assert found is not None
+    windows = record.N // window
+    assert found.of_windows == 2 * (windows - 1)
+    assert found.unknowns == part.cost + found.of_windows
+    assert found.gain > part.cost * np.log(2 * record.N)  # which is what it paid
+    assert found.merit < 0
+
+
+def test_errors_in_windows_are_as_large_as_the_noise_whatever_the_number_of_states():
+    """Noise less a line, or a cubic, through each of 500 windows of 20 samples."""
+    N, window = 10_000, 20
+    error = np.random.default_rng(5).standard_normal((N, 1))
+    for states in (2, 4):
+        basis = np.linalg.qr(np.vander(np.arange(window), states))[0]
+        parts = error.reshape(-1, window)
+        left = (parts - parts @ basis @ basis.T).reshape(N, 1)
+        fit = SimpleNamespace(
+            criterion=SimpleNamespace(
+                data=[SimpleNamespace(N=N)],
+                parts=lambda e: N // window,
+                model=SimpleNamespace(states=range(states)),
+            )
+        )
+        rms = float(np.sqrt(np.mean(_per_window(fit, left) ** 2)))
+        assert rms == pytest.approx(1.0, abs=4 / np.sqrt(2 * N))
+        assert np.sqrt(np.mean(left**2)) < 1 - 0.7 * states / (2 * window)
