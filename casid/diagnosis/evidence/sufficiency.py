@@ -34,16 +34,16 @@ def why_uninformative(model: Model, split: Split) -> str:
     """Why the fitted part is uninformative about the system, or an empty text.
 
     Checked before the fit, which would be meaningless: every output is constant, or is white noise
-    that no measured input contributes to. White and independent of an input, an output has
-    correlations with it of variance 1/N at every lag, whatever the input's colour; a system that
-    the samples resolve colours what it passes on, and its decay too.
+    that no input contributes to, measured or known. White and independent of an input, an output
+    has correlations with it of variance 1/N at every lag, whatever the input's colour; a system
+    that the samples resolve colours what it passes on, and its decay too.
     """
     outputs = _moving(split.fitted, model.outputs)
-    if any(n not in e.record for e in split.fitted for n in (*model.outputs, *_measured(model))):
+    inputs = [n for n, u in model.inputs.items() if u.kind in {"measured", "known"}]
+    if any(n not in e.record for e in split.fitted for n in (*model.outputs, *inputs)):
         return ""  # refused with its remedy as it is fitted
     for e in split.fitted:
-        require_sizes(e.record, [*model.outputs, *_measured(model)])
-    inputs = _measured(model)
+        require_sizes(e.record, [*model.outputs, *inputs])
     if not outputs:
         values = [float(e.record[n][0]) for e in split.fitted for n in model.outputs]
         what = "zero" if not any(values) else "constant"

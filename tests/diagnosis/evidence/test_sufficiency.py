@@ -306,3 +306,21 @@ def test_doses_that_a_slow_clock_hardly_follows_are_no_noise():
     record = record.mark_missing("c_p", missing)
     split = split_records([casid.Experiment(record, {}, "doses")], 0.0)
     assert why_uninformative(casid.Problem("doses", m).model, split) == ""
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_an_output_that_follows_a_command_between_its_samples_is_no_noise(known):
+    """A store that forgets within a sample shows each command by itself: white, as they are."""
+    rng = np.random.default_rng(2)
+    command = rng.choice([0.0, 10.0], 400)
+    level = np.append(0.0, command[:-1]) * (1 - np.exp(-5.0)) + 0.5 * rng.standard_normal(400)
+    m = casid.Model("store")
+    x, u = m.state("x", "K"), m.input("u", "W", hold="zoh", known=known)
+    C = m.parameter("C", "J/K", start=1.0, lower=0.0)
+    m.balance(x, "heat", inertia=C, terms=[u, -m.constant("h", 1.0, "W/K") * x])
+    m.output("T", x, "K")
+    for T, is_noise in ((level, False), (level[rng.permutation(400)], True)):
+        record = casid.Record({"u": command, "T": T}, {"u": "W", "T": "K"}, Ts=5.0)
+        reason = why_uninformative(m, split_records([casid.Experiment(record)], 0.3))
+        assert ("noise alone: white, and uncorrelated with u" in reason) == is_noise
+        assert bool(reason) == is_noise
