@@ -296,8 +296,11 @@ def read_experiment(
 
     experiment = read(problem)
     record = experiment.record
-    # Of rows that are absent altogether a slower clock knows nothing.
-    empty = np.logical_and.reduce([record.is_missing(n) for n in record])
+    # Of rows that are absent altogether a slower clock knows nothing, nor of one that a held input
+    # has more, where two rows of the file share a place.
+    held = {n for n, entry in problem.model.inputs.items() if entry.hold == "zoh"}
+    others = [n for n in record if n not in held] or list(record)
+    empty = np.logical_and.reduce([record.is_missing(n) for n in others])
     specs = problem.columns(mapping)
     holes = {s.column: record.is_missing(n)[~empty] for n, s in specs.items() if n in record}
     fewer, notes = left_out_by_clock(problem, mapping, holes)

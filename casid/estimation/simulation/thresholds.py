@@ -111,6 +111,11 @@ class InputGaps:
     longest: int = _is(
         5, "intervals of the input's own clock that one may be long and still be filled", _GAPS
     )
+    at_rest: float = _is(
+        0.25,
+        "of a command's rows at its steps: so many without a step or a sample a file of events has",
+        "tests/estimation/simulation/test_files_of_events.py",
+    )
     shortest: int = _is(
         50, "samples of a stretch between two long gaps, at least: it has states to start", _GAPS
     )

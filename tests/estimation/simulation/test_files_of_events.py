@@ -101,3 +101,14 @@ def test_a_logger_that_was_off_is_no_file_of_events(tmp_path: Path) -> None:
     measured = problem(known=False)
     events = measured.read(written(tmp_path / "doses.csv"))
     assert not has_row_at_every_step(measured.model, events.record, "rate")
+
+
+def test_a_sample_that_failed_leaves_a_file_of_events(tmp_path: Path) -> None:
+    """An outlier that is set aside leaves a row at which nothing was measured."""
+    plasma = problem()
+    record = plasma.read(written(tmp_path / "doses.csv")).record
+    mask = np.zeros(record.N, dtype=bool)
+    mask[np.flatnonzero(~record.is_missing("c"))[[7, 20]]] = True
+    record = record.mark_missing("c", mask)
+    assert has_row_at_every_step(plasma.model, record, "rate")
+    assert len(with_gaps_treated(plasma.model, [casid.Experiment(record)])) == 1
