@@ -80,11 +80,11 @@ def gains(before: float, after: float, floor: float) -> bool:
 HIDDEN = [
     ("quadratic_damping", 1.2, 100, None),
     ("coulomb_friction", 1.2, 101, None),
-    ("cubic_stiffness", 1.2, 102, None),
+    pytest.param("cubic_stiffness", 1.2, 102, None, marks=pytest.mark.slow),
     ("sensor_bias", 1.2, 103, None),
-    ("extra_input", 1.2, 105, None),
+    pytest.param("extra_input", 1.2, 105, None, marks=pytest.mark.slow),
     pytest.param("parameter_jump", 1.2, 106, "m", marks=pytest.mark.slow),
-    ("parameter_jump", 1.2, 206, "k"),
+    pytest.param("parameter_jump", 1.2, 206, "k", marks=pytest.mark.slow),
     ("saturation", 1.2, 301, None),
     ("outliers", 1.2, 108, None),
 ]

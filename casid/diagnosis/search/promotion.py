@@ -40,7 +40,11 @@ def with_likelier_rivals(
 
 
 def likelier_rival(adopted: Sequence[Adopted], i: int) -> Candidate | None:
-    """The best rival with a name, where it is better than a cause by strong evidence."""
+    """The best rival with a name, where it is better than a cause by strong evidence.
+
+    A change for a while takes no law's place: it follows whatever passes a level once, an overflow
+    as closely as a window that was open.
+    """
     own = adopted[i].candidate
     taken = {a.candidate.effect.key for a in adopted}
     named = [
@@ -48,6 +52,8 @@ def likelier_rival(adopted: Sequence[Adopted], i: int) -> Candidate | None:
         for r in adopted[i].rivals
         if r.candidate.effect.kind != "unknown" and r.candidate.effect.key not in taken
     ]
+    if not own.effect.is_on_the_clock:
+        named = [c for c in named if c.effect.end is None]
     best = max(named, key=lambda c: c.merit, default=None)
     return best if best is not None and best.merit > own.merit + COMPARISON.strong else None
 

@@ -78,6 +78,7 @@ def loaded_spring() -> tuple[casid.Problem, casid.Record]:
     return casid.Problem("loaded spring", m, starts=1), record
 
 
+@pytest.mark.slow
 def test_a_stiffness_that_jumps_between_the_instants_of_a_coarse_search_is_found():
     problem, record = loaded_spring()
     d = casid.diagnose(problem, record, hold_out=0, max_causes=1, advise=False, without=OTHERS)

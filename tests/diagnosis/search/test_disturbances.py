@@ -71,6 +71,7 @@ def record(seed: int, drag: float = 0.0) -> casid.Record:
     return casid.Record({"fin": fin, "roll": y[:, 0], "rate": y[:, 1]}, units, Ts=TS)
 
 
+@pytest.mark.slow
 def test_a_sea_is_a_disturbance_with_its_place_size_and_peak_and_no_cause() -> None:
     found = casid.diagnose(hull(), record(1), advise=False)
     assert (found.verdict, found.causes) == ("adequate", ())

@@ -21,7 +21,7 @@ from casid.model.effects.balance_effects import (
     quadratic_damping,
 )
 from casid.model.effects.channel_effects import sensor_lag
-from tests.diagnosis.search.test_alternatives import MODEL, judged
+from tests.diagnosis.search.test_alternatives import JUMP, MODEL, judged
 
 CUBIC, SQUARE = cubic_damping(MODEL, "torque"), quadratic_damping(MODEL, "torque")
 UNNAMED = replace(CUBIC, kind="unknown")
@@ -52,6 +52,14 @@ def test_a_rival_that_is_another_cause_stays_where_it_is() -> None:
     rival = judged(SQUARE, CLEARLY, 0.0)
     other = Adopted(rival, 1e-9, ())
     assert likelier_rival([adopted(rival), other], 0) is None
+
+
+def test_a_change_for_a_while_takes_the_place_of_a_change_in_time_alone() -> None:
+    """An overflow acts while a level is high, which in one record is once."""
+    law = adopted(judged(replace(JUMP, kind="offset", constants={"end": 40.0}), CLEARLY, 0.0))
+    assert likelier_rival([law], 0) is None
+    jump = replace(law, candidate=judged(JUMP, 100.0, 0.0))
+    assert likelier_rival([jump], 0) is law.rivals[0].candidate
 
 
 def fitted(candidate: Candidate, residual: np.ndarray) -> Candidate:
