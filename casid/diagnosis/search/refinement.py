@@ -234,7 +234,14 @@ class Refinement:
             return adopted, fit
         new = placed[likeliest.doublings]
         new[i] = replace(new[i], rounding=likeliest.rounding)
+        if likeliest.doublings == 0.0 and not self._is_of(fit, adopted):
+            return new, fit
         return new, likeliest.fit
+
+    def _is_of(self, fit: Fit, adopted: Sequence[Adopted]) -> bool:
+        """False of a model in which further effects stay that are no causes."""
+        names = {name for a in adopted for name in a.candidate.names}
+        return set(fit.criterion.model.parameters) <= names | set(self.start.model.parameters)
 
     def _at_speed(
         self, adopted: Sequence[Adopted], i: int, speed: float, near: Fit, substeps: int
@@ -242,7 +249,8 @@ class Refinement:
         """The causes with another smoothing speed of one, and their fit."""
         causes = [a.candidate for a in adopted]
         effect = coulomb_friction(self.start.model, causes[i].effect.where, speed)
-        if effect.constants == causes[i].effect.constants and substeps <= near.criterion.substeps:
+        is_same = effect.constants == causes[i].effect.constants and self._is_of(near, adopted)
+        if is_same and substeps <= near.criterion.substeps:
             return list(adopted), near
         causes[i] = replace(causes[i], effect=effect)
         placed, fit = self._with(causes, near, substeps)
