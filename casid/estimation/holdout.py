@@ -303,17 +303,16 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
             first = int(np.argmax(mask))
             if _has_windows(fit):  # each begins in a state of its own
                 d, y, _ = _end_in_windows(fit, e, first)
-                error = np.where(d.used, d.y - y, np.nan) * weights
-                parts.append(_per_window(fit, error))
-                continue
-            there = whole_simulation(fit, split, i)[2][first]
-            near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
-            tail = replace(e, record=_tail(e.record, first))
-            d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
+            else:
+                there = whole_simulation(fit, split, i)[2][first]
+                near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
+                tail = replace(e, record=_tail(e.record, first))
+                d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
             parts.append(np.where(d.used, d.y - y, np.nan) * weights)
     rest = Split([], [], [], split.apart) if anew else split
-    found = [(h.measured - h.simulated) * weights for h in validation(fit, rest)]
-    parts += [_per_window(fit, error) for error in found] if _has_windows(fit) else found
+    parts += [(h.measured - h.simulated) * weights for h in validation(fit, rest)]
+    if _has_windows(fit):
+        parts = [_per_window(fit, error) for error in parts]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
 
 

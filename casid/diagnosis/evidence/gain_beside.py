@@ -57,6 +57,7 @@ def gain_beside(
     own = _Residual(bare, residual, known, bare.noise if under is None else under)
 
     def gains(of: Sequence[int], rounds: int) -> list[float]:
+        """Of each effect, the disturbance sought anew so many times."""
         nothing = own.minus_log_likelihood(tangent, rounds)
         out = []
         for i in of:

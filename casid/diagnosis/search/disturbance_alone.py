@@ -53,8 +53,9 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
     alone = search.table(start, [])
     needed = 0.5 * price_of(1, start.criterion.n_samples, len(alone.tested))
     at = replace(bare, fit=bare.unbiased or bare.fit)
+    plain = replace(at.fit, criterion=unwhitened(at))
     for effects, noise in ((_best(bare, table), bare.noise), (_best(start, alone), start.noise)):
-        columns = extended_columns(replace(at.fit, criterion=unwhitened(at)), effects)
+        columns = extended_columns(plain, effects)
         gain = gain_beside(
             at,
             columns,

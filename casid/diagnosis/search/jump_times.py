@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -62,8 +62,7 @@ def _between(
     """Scan both instants of what is over again, ever finer, about the last refit."""
     start, stop = window_of(at)
     Ts = min(d.Ts for d in at.criterion.data)
-    reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
-    for _ in range(JUMPS.scans):
+    for reach in _reaches(at):
         ends = [found.effect.constants[name] for name in ("time", "end")]
         grid = reach * np.linspace(-1, 1, JUMPS.ends)
         times = [[float(t) for t in end + grid if start < t < stop] for end in ends]
@@ -73,10 +72,19 @@ def _between(
         i, j = np.unravel_index(int(np.argmin(left)), left.shape)
         first, last = times[0][int(i)], times[1][int(j)]
         found = _better_at(refitting, at, found, first, known, last)
-        if reach < JUMPS.fine * Ts:
-            break
-        reach /= JUMPS.zoom
     return found
+
+
+def _reaches(at: Weighted) -> Iterator[float]:
+    """How far on either side of an instant it is scanned [s], ever finer, to parts of a sample."""
+    start, stop = window_of(at)
+    Ts = min(d.Ts for d in at.criterion.data)
+    reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
+    for _ in range(JUMPS.scans):
+        yield reach
+        if reach < JUMPS.fine * Ts:
+            return
+        reach /= JUMPS.zoom
 
 
 def _knock(
@@ -100,9 +108,7 @@ def _placed(
 ) -> Candidate:
     """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
     start, stop = window_of(at)
-    Ts = min(d.Ts for d in at.criterion.data)
-    reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
-    for _ in range(JUMPS.scans):
+    for reach in _reaches(at):
         now = found.effect.variant
         assert now is not None
         times = now + reach * np.linspace(-1, 1, JUMPS.instants)
@@ -111,9 +117,6 @@ def _placed(
         effects = [at_instant(found.effect, model, t) for t in inside]
         left = scan(found.fit, found.names[0], effects)
         found = _better_at(refitting, at, found, inside[int(np.argmin(left))], known)
-        if reach < JUMPS.fine * Ts:
-            break
-        reach /= JUMPS.zoom
     return found
 
 

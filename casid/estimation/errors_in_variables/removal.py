@@ -321,9 +321,8 @@ class _Root:
             slope = self._slope([(each, self.found.sd) for each in changed])
         else:
             variance, error = noise.source_sd[name] ** 2, np.sqrt(noise.variance_error(name))
-            if (
-                variance <= VARIANCE_SLOPE.nothing * error
-            ):  # at its bound, up to what a solver leaves
+            # At its bound it is zero up to what a solver leaves.
+            if variance <= VARIANCE_SLOPE.nothing * error:
                 return np.zeros(len(self.x))
             alike = next((group for group in noise.alike if name in group), (name,))
             free = tuple(n for n in alike if n not in self.found.bounded)
