@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import TINY, BoolArray, FloatArray
 from casid.data.record import Record
-from casid.data.sampling import gaps_of
+from casid.data.sampling import gaps_among, gaps_of
 from casid.deprecation import renamed
 from casid.model.quantities import count_text
 from casid.model.units import difference_from_si, from_si
@@ -92,9 +92,6 @@ class ChannelCheck:
         """The unit in which text shows the numbers."""
         return self.written or self.unit
 
-
-OWN_CLOCK = 3.0
-"""Times its usual interval, that the longest of an irregular clock without a gap takes."""
 
 _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
@@ -237,7 +234,7 @@ def _is_as_placed(record: Record, mask: BoolArray) -> bool:
     if not any("the clock is irregular" in line for line in record.provenance):
         return False
     steps = np.diff(np.flatnonzero(~mask))
-    has_gaps = bool((steps > OWN_CLOCK * np.median(steps)).any()) if steps.size else True
+    has_gaps = bool(gaps_among(steps).any()) if steps.size else True
     absent = np.all([record.is_missing(name) for name in record], axis=0)
     return not has_gaps and np.array_equal(mask, absent)
 
@@ -277,7 +274,7 @@ def _own_clock(record: Record, name: str) -> Finding:
     there = np.flatnonzero(~record.is_missing(name))
     steps = np.diff(there)
     usual = float(np.median(steps))
-    (gaps,) = np.nonzero(steps > OWN_CLOCK * usual)
+    (gaps,) = np.nonzero(gaps_among(steps))
     text = (
         f"a clock of its own: {there.size} samples, {record.Ts * steps.min():.4g} to "
         f"{record.Ts * steps.max():.4g} s apart, {record.Ts * usual:.4g} s as a rule"

@@ -6,12 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.arrays import BoolArray
+from casid.arrays import Array, BoolArray
 
 CLOCK_GAPS = 3
 """Intervals between samples that show a clock of the channel's own, at least."""
 CLOCK_SHARE = 0.95
 """Of the intervals that keep that clock."""
+OWN_CLOCK = 3.0
+"""Times its usual interval, that the longest of an irregular clock without a gap takes."""
+APART = 2.0
+"""Times the next shorter interval, that a gap is long: random instants lie at all distances."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,21 @@ def stretches_of(mask: BoolArray) -> tuple[np.ndarray, np.ndarray]:
     """First samples of the stretches in which a mask (N,) is True, and those behind them."""
     edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def gaps_among(steps: Array) -> BoolArray:
+    """Which intervals (n,) of an irregular clock are gaps in it.
+
+    They stand apart from all others: samples at random instants (Poisson) have intervals of any
+    length, and none is missing.
+    """
+    order = np.argsort(steps)
+    ordered = steps[order]
+    apart = np.zeros(steps.size, dtype=bool)
+    apart[1:] = (ordered[1:] > OWN_CLOCK * np.median(steps)) & (ordered[1:] > APART * ordered[:-1])
+    found = np.zeros(steps.size, dtype=bool)
+    found[order] = np.logical_or.accumulate(apart)
+    return found
 
 
 def own_rate(

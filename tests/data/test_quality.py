@@ -129,6 +129,22 @@ def test_an_irregular_clock_is_judged_by_its_own_samples(tmp_path):
     assert not any(word in t for t in texts(report) for word in ("stretch", "does not fall"))
 
 
+@pytest.mark.parametrize("at_random", ["uniform", "exponential"])
+def test_nothing_is_missing_between_samples_at_random_instants(tmp_path, at_random):
+    """Intervals of a Poisson process are of any length: an eighth exceeds three medians."""
+    rng = np.random.default_rng(1)
+    t = {
+        "uniform": np.sort(rng.uniform(0, 300, 150)),
+        "exponential": np.cumsum(rng.exponential(2.0, 200)),
+    }[at_random]
+    y = 20 + 5 * np.exp(-t / 50) + 0.02 * rng.standard_normal(t.size)
+    path = tmp_path / "visits.csv"
+    path.write_text("t,y\n" + "".join(f"{a:.3f},{b:.3f}\n" for a, b in zip(t, y, strict=True)))
+    said = str(check(path))
+    assert "the clock is irregular" in said
+    assert "missing" not in said
+
+
 def test_continuous_samples_have_no_step():
     assert check(record(smooth())).channels[0].step is None
 
