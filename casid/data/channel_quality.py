@@ -4,43 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import TINY, BoolArray, FloatArray
+from casid.data.findings import Finding
+from casid.data.missing_samples import is_as_placed, some_missing
 from casid.data.record import Record
-from casid.data.sampling import gaps_among, gaps_of
-from casid.deprecation import renamed
+from casid.data.sampling import gaps_of
 from casid.model.quantities import count_text
 from casid.model.units import difference_from_si, from_si
-
-Severity = Literal["error", "warning", "note"]
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing found: an error keeps the data from being used, a warning may spoil a result."""
-
-    severity: Severity
-    channel: str | None
-    text: str
-    remedy: str
-    mend = renamed("mend", "remedy")
-
-    def __str__(self) -> str:
-        where = f"{self.channel}: " if self.channel else ""
-        return f"{self.severity:<8} {where}{self.text} {self.remedy}".rstrip()
-
-    def to_json(self) -> dict[str, str | None]:
-        """Return the finding as a dict of plain values."""
-        return {
-            "severity": self.severity,
-            "channel": self.channel,
-            "text": self.text,
-            "mend": self.remedy,
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +116,8 @@ def channel_quality(
     peak = max(abs(low), abs(high))
     rms = peak * float(np.sqrt(np.mean((kept / peak) ** 2))) if peak else 0.0
     findings: list[Finding] = []
-    if gone and not _is_as_placed(record, mask):
-        findings.append(_some_missing(record, name))
+    if gone and not is_as_placed(record, mask):
+        findings.append(some_missing(record, name))
     if low == high:
         findings.append(_constant(name, float(from_si(low, shown)), shown))
         at_rest = (0.0, None, record.N, record.N, 0, 0.0, 0.0)
@@ -162,8 +136,13 @@ def channel_quality(
     drift, trend = _trend(record, name, shown)
     findings += trend
     noise, bandwidth, reaches = _noise_and_band(record, name, own)
-    if step is not None and step > (high - low) / 200 and not (few or step < (noise or 0.0)):
-        findings.append(_coarse(name, shown, step, high - low))
+    is_coarse = step is not None and step > (high - low) / 200
+    if is_coarse and few:
+        is_coarse = _moves_by_single_steps(kept, step, levels.size)
+    elif is_coarse:
+        is_coarse = step >= (noise or 0.0)
+    if is_coarse and step is not None:
+        findings.append(_coarse(name, shown, step, high - low, is_sensor=not few))
     if reaches and not few:
         findings.append(_wide_band(name))
     numbers = ChannelCheck(
@@ -225,73 +204,6 @@ def _equal_samples(
     return run, plateau, findings
 
 
-def _is_as_placed(record: Record, mask: BoolArray) -> bool:
-    """True where a channel lacks what no row of its file has, and no gap is among it.
-
-    That rows of an irregular file were read onto an even clock of more samples was said of the
-    file already.
-    """
-    if not any("the clock is irregular" in line for line in record.provenance):
-        return False
-    steps = np.diff(np.flatnonzero(~mask))
-    has_gaps = bool(gaps_among(steps).any()) if steps.size else True
-    absent = np.all([record.is_missing(name) for name in record], axis=0)
-    return not has_gaps and np.array_equal(mask, absent)
-
-
-def _some_missing(record: Record, name: str) -> Finding:
-    gaps = gaps_of(record.is_missing(name))
-    if gaps.rate is not None:
-        return Finding(
-            "note",
-            name,
-            f"has a value in one row of {gaps.rate} alone: a clock of its own, of "
-            f"{gaps.rate * record.Ts:.6g} s.",
-            f"{_ON_ITS_OWN_CLOCK}.",
-        )
-    if gaps.missing > record.N // 2 and gaps.missing < record.N - 1:
-        return _own_clock(record, name)
-    return Finding(
-        "note",
-        name,
-        f"{gaps.missing} samples ({100 * gaps.missing / record.N:.3g} %) are missing, in "
-        f"{gaps.stretches} stretch{'' if gaps.stretches == 1 else 'es'}, the longest of "
-        f"{gaps.longest * record.Ts:.4g} s from t = {record.t[gaps.first]:.6g} s.",
-        "Missing samples of an output are left out; short gaps of an input are filled as the model "
-        "holds it, at long ones the record is cut. Instruments need a complete stretch: select it "
-        "with a window.",
-    )
-
-
-_ON_ITS_OWN_CLOCK = (
-    "An output counts at its own instants; an input is held or joined between them, as the model "
-    "declares"
-)
-
-
-def _own_clock(record: Record, name: str) -> Finding:
-    """The instants of a channel that has a value in few rows, at uneven distances."""
-    there = np.flatnonzero(~record.is_missing(name))
-    steps = np.diff(there)
-    usual = float(np.median(steps))
-    (gaps,) = np.nonzero(gaps_among(steps))
-    text = (
-        f"a clock of its own: {there.size} samples, {record.Ts * steps.min():.4g} to "
-        f"{record.Ts * steps.max():.4g} s apart, {record.Ts * usual:.4g} s as a rule"
-    )
-    remedy = _ON_ITS_OWN_CLOCK
-    if gaps.size:
-        gone = round(float(np.sum(steps[gaps] / usual - 1)))
-        at = there[int(np.argmax(steps))]
-        text += (
-            f"; about {gone} ({100 * gone / (there.size + gone):.2g} %) are missing in "
-            f"{count_text(gaps.size, 'gap')}, the longest of {record.Ts * steps.max():.4g} s from "
-            f"t = {record.t[at]:.6g} s"
-        )
-        remedy += "; at long gaps of an input the record is cut"
-    return Finding("note", name, f"{text}.", f"{remedy}.")
-
-
 def _wide_band(name: str) -> Finding:
     return Finding(
         "note",
@@ -302,16 +214,22 @@ def _wide_band(name: str) -> Finding:
     )
 
 
-def _coarse(name: str, shown: str, step: float, span: float) -> Finding:
+def _moves_by_single_steps(kept: FloatArray, step: float, levels: int) -> bool:
+    """True of a channel of few levels that goes from each to a neighbour, as coarse readings do."""
+    moves = np.round(np.diff(kept) / step)
+    moves = np.abs(moves[moves != 0])
+    return levels >= 4 and moves.size >= 2 * levels and float(np.mean(moves == 1)) >= 0.9
+
+
+def _coarse(name: str, shown: str, step: float, span: float, *, is_sensor: bool) -> Finding:
     noise = float(difference_from_si(step / np.sqrt(12), shown))
-    return Finding(
-        "warning",
-        name,
-        f"coarsely quantised: steps of {float(difference_from_si(step, shown)):.4g}"
-        f"{_behind(shown)}, "
-        f"{round(span / step)} of them in the range.",
-        f"Count with noise of {noise:.3g}{_behind(shown)} (step/sqrt 12), or log finer.",
-    )
+    steps = f"{float(difference_from_si(step, shown)):.4g}{_behind(shown)}"
+    remedy = f"ount with noise of {noise:.3g}{_behind(shown)} (step/sqrt 12), or log finer."
+    if is_sensor:
+        text = f"coarsely quantised: steps of {steps}, {round(span / step)} of them in the range."
+        return Finding("warning", name, text, f"C{remedy}")
+    text = f"moves by single steps of {steps}, {round(span / step)} of them in the range."
+    return Finding("note", name, text, f"Right for a command; of a sensor c{remedy}")
 
 
 def _spiked(record: Record, name: str, spikes: NDArray[np.intp]) -> Finding:

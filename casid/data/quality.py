@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import FloatArray
-from casid.data.channel_quality import ChannelCheck, Finding, channel_quality
+from casid.data.channel_quality import ChannelCheck, channel_quality
+from casid.data.findings import Finding
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.faults import ColumnSurvey, Survey

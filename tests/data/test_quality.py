@@ -145,6 +145,22 @@ def test_nothing_is_missing_between_samples_at_random_instants(tmp_path, at_rand
     assert "missing" not in said
 
 
+@pytest.mark.parametrize(
+    ("values", "is_told"),
+    [
+        (np.round(3 * np.sin(np.linspace(0, 20, 500))), True),  # a thermometer of 1 K
+        (np.random.default_rng(0).integers(0, 7, 500), False),  # a command of seven levels
+        (np.repeat([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], 80), False),  # a staircase, once
+        (np.tile(np.repeat([0.0, 1.0], 25), 10), False),  # on and off
+    ],
+)
+def test_a_sensor_of_few_levels_goes_from_each_to_the_next(values, is_told):
+    found = check(record(values.astype(float))).findings
+    told = [f.remedy for f in found if "single steps of 1" in f.text]
+    assert bool(told) is is_told
+    assert all("0.289" in remedy for remedy in told)  # 1/sqrt 12
+
+
 def test_continuous_samples_have_no_step():
     assert check(record(smooth())).channels[0].step is None
 

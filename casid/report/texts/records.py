@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casid.data.channel_quality import ChannelCheck, Finding
+from casid.data.channel_quality import ChannelCheck
+from casid.data.findings import Finding
 from casid.data.fir_filter import FirFilter
 from casid.data.quality import CheckReport
 from casid.data.record import Record
