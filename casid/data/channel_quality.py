@@ -67,6 +67,8 @@ class ChannelCheck:
         return self.written or self.unit
 
 
+FEW_LEVELS = 10
+"""Different readings, at most, of a channel that may be a command."""
 _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
@@ -124,7 +126,7 @@ def channel_quality(
         constant = ChannelCheck(name, unit, low, high, mean, rms, gone, *at_rest, written)
         return constant, findings
     levels = np.unique(kept)
-    step, few = quantisation_step(levels), levels.size <= 10
+    step, few = quantisation_step(levels), levels.size <= FEW_LEVELS
     run, plateau, equal = _equal_samples(record, name, step, few, shown)
     findings += equal
     own = np.flatnonzero(~mask) if gone > record.N // 2 else np.arange(record.N)  # on its own clock
@@ -136,13 +138,8 @@ def channel_quality(
     drift, trend = _trend(record, name, shown)
     findings += trend
     noise, bandwidth, reaches = _noise_and_band(record, name, own)
-    is_coarse = step is not None and step > (high - low) / 200
-    if is_coarse and few:
-        is_coarse = _moves_by_single_steps(kept, step, levels.size)
-    elif is_coarse:
-        is_coarse = step >= (noise or 0.0)
-    if is_coarse and step is not None:
-        findings.append(_coarse(name, shown, step, high - low, is_sensor=not few))
+    if step is not None and step > (high - low) / 200:
+        findings += _quantised(name, shown, kept, step, noise or 0.0)
     if reaches and not few:
         findings.append(_wide_band(name))
     numbers = ChannelCheck(
@@ -214,22 +211,22 @@ def _wide_band(name: str) -> Finding:
     )
 
 
-def _moves_by_single_steps(kept: FloatArray, step: float, levels: int) -> bool:
-    """True of a channel of few levels that goes from each to a neighbour, as coarse readings do."""
-    moves = np.round(np.diff(kept) / step)
-    moves = np.abs(moves[moves != 0])
-    return levels >= 4 and moves.size >= 2 * levels and float(np.mean(moves == 1)) >= 0.9
-
-
-def _coarse(name: str, shown: str, step: float, span: float, *, is_sensor: bool) -> Finding:
-    noise = float(difference_from_si(step / np.sqrt(12), shown))
-    steps = f"{float(difference_from_si(step, shown)):.4g}{_behind(shown)}"
-    remedy = f"ount with noise of {noise:.3g}{_behind(shown)} (step/sqrt 12), or log finer."
-    if is_sensor:
-        text = f"coarsely quantised: steps of {steps}, {round(span / step)} of them in the range."
-        return Finding("warning", name, text, f"C{remedy}")
-    text = f"moves by single steps of {steps}, {round(span / step)} of them in the range."
-    return Finding("note", name, text, f"Right for a command; of a sensor c{remedy}")
+def _quantised(name: str, shown: str, kept: FloatArray, step: float, noise: float) -> list[Finding]:
+    """Readings on a coarse grid; a command has few levels, too, and jumps among them."""
+    levels, span = np.unique(kept).size, float(np.ptp(kept))
+    rounding = float(difference_from_si(step / np.sqrt(12), shown))
+    steps = f"steps of {float(difference_from_si(step, shown)):.4g}{_behind(shown)}"
+    many = f"{round(span / step)} of them in the range."
+    remedy = f"ount with noise of {rounding:.3g}{_behind(shown)} (step/sqrt 12), or log finer."
+    if levels > FEW_LEVELS:
+        text = f"coarsely quantised: {steps}, {many}"
+        return [Finding("warning", name, text, f"C{remedy}")] if step >= noise else []
+    moves = np.abs(np.round(np.diff(kept) / step))
+    moves = moves[moves > 0]
+    if levels < 4 or moves.size < 2 * levels or np.mean(moves == 1) < 0.9:
+        return []
+    remedy = f"Right for a command; of a sensor c{remedy}"
+    return [Finding("note", name, f"moves by single {steps}, {many}", remedy)]
 
 
 def _spiked(record: Record, name: str, spikes: NDArray[np.intp]) -> Finding:
