@@ -538,7 +538,7 @@ def test_an_interrupted_command_says_so_and_leaves_nothing(here: Path) -> None:
         ("identify", 0.29),
         pytest.param("identify", 0.0, marks=pytest.mark.slow),
         pytest.param("diagnose", 0.13, marks=pytest.mark.slow),
-        ("diagnose", 0.61),
+        pytest.param("diagnose", 0.61, marks=pytest.mark.slow),
     ],
 )
 def test_a_fit_ends_at_ctrl_c_wherever_it_is(here: Path, command: str, after: float) -> None:

@@ -54,6 +54,7 @@ def test_of_the_nine_parameters_only_the_height_of_the_load_is_told(nine):
     assert nine.moving["m"].spread < 1.0 < nine.moving["k"].spread
 
 
+@pytest.mark.slow
 def test_the_mass_moves_with_the_slope_of_the_thesis(nine):
     """d m/d z_f = m [1/(zbar_c + z_f) - 1/(zbar_m + z_f)], -0.0952 kg/m at the truth."""
 
@@ -67,6 +68,7 @@ def test_the_mass_moves_with_the_slope_of_the_thesis(nine):
     assert nine.moving["m"].held == "z_f"
 
 
+@pytest.mark.slow
 def test_a_moving_parameter_is_a_range_and_never_a_number_with_an_error(nine):
     lines = str(nine).splitlines()
     for name in nine.moving:
@@ -80,6 +82,7 @@ def test_a_moving_parameter_is_a_range_and_never_a_number_with_an_error(nine):
     assert "a choice" in lines[1]
 
 
+@pytest.mark.slow
 def test_combinations_are_told_in_place_of_what_moves(nine):
     """All invariants but zbar_m itself: each at the truth within 4 standard errors."""
     import sympy
@@ -106,6 +109,7 @@ def test_intervals_of_mass_and_height_hold_the_truth_whatever_was_held(families)
     assert min(hits.values()) >= binom.ppf(0.001, 6, 0.95)
 
 
+@pytest.mark.slow
 def test_least_squares_and_simulation_error_say_the_same_of_noiseless_records(families):
     """One calibrated ship, two estimators: m and zbar_m to what the bilinear rule leaves, 1 %."""
     made = ship.experiments(duration=20.0, sensors=ship.NOISELESS)

@@ -315,7 +315,7 @@ def noise_alone(*, steering: bool) -> list[casid.Experiment]:
     return out
 
 
-@pytest.mark.parametrize("steering", [True, False])
+@pytest.mark.parametrize("steering", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_no_sign_is_suspected_in_noise_alone(steering) -> None:
     assert wrong_sign(ship.problem, noise_alone(steering=steering), ONE) is None
 

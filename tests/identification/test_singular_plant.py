@@ -108,7 +108,9 @@ def test_a_record_begins_where_the_model_is_finite():
     assert segments_for(c) > 1  # the instability is seen from there
 
 
-@pytest.mark.parametrize("start", [1.5e-5, pytest.param(3e-5, marks=pytest.mark.slow), 6e-5])
+@pytest.mark.parametrize(
+    "start", [1.5e-5, *(pytest.param(z, marks=pytest.mark.slow) for z in (3e-5, 6e-5))]
+)
 def test_segments_and_windows_are_fitted_from_short_horizons(start: float):
     """A few iterations, whichever side K begins on; K within 3.5 standard errors."""
     problem = ball(start)

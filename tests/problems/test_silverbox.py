@@ -135,7 +135,7 @@ def test_the_record_is_read_without_a_mapping_and_its_clock_is_the_generators(me
     ("hold", "hardens"),
     [
         pytest.param("zoh", False, marks=pytest.mark.slow),
-        ("foh", False),
+        pytest.param("foh", False, marks=pytest.mark.slow),
         pytest.param("foh", True, marks=pytest.mark.slow),
     ],
 )

@@ -43,7 +43,8 @@ def pumped(seed: int) -> casid.Record:
     return casid.Record({"q": q, "level": level}, {"q": "m^3/s", "level": "m"}, Ts=TS)
 
 
-@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 3])
 def test_a_band_that_the_record_does_not_resolve_is_a_line(seed: int) -> None:
     """Both have three parameters, and both are charged for them."""
     found = casid.diagnose(tank(), pumped(seed), advise=False)

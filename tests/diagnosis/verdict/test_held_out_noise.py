@@ -75,7 +75,7 @@ def diagnosed(seed: int, has_gap: bool) -> casid.Diagnosis:
     return casid.diagnose(load(), record(seed, GAP if has_gap else WHOLE), advise=False)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2, 3))])
 def test_a_gap_in_a_record_is_no_cause(seed):
     found = diagnosed(seed, True)
     assert found.verdict == "adequate", found.sentence

@@ -187,6 +187,7 @@ def record_of(kind: str, size: float, seed: int = 1) -> casid.Record:
     return casid.Record({"u": command, "level": measured}, {"u": "m", "level": "m"}, Ts=Ts)
 
 
+@pytest.mark.slow
 def test_a_valve_that_takes_its_time_is_named_with_its_rate():
     found = casid.diagnose(
         casid.Problem("tank", tank()), record_of("rate", 0.4), starts=1, advise=False
