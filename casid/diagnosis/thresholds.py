@@ -620,6 +620,12 @@ class Jumps:
     reach: float = _is(1.5, "steps of the first grid on both sides", POWER_STUDY)
     scans: int = _is(3, "scans, each finer", POWER_STUDY)
     instants: int = _is(101, "instants of a scan", POWER_STUDY)
+    worth: float = _is(
+        0.5,
+        "of chi^2, what another instant explains more, at least, where it is worth a refit: a "
+        "third of a standard error of the instant is nothing to the choice of a cause",
+        f"{TESTS}/search/test_jump_times.py",
+    )
     zoom: float = _is(12.0, "by which the next scan is finer", POWER_STUDY)
     fine: float = _is(
         5.0,

@@ -179,6 +179,13 @@ class Refitting:
             return new
         return other if new is None or other.gain > new.gain else new
 
+    def moved(self, at: Weighted, found: Candidate, effect: Effect) -> Candidate | None:
+        """A candidate refitted with its `effect` at another instant, from all that it was."""
+        below = found.fit.solution.value
+        there = partial(self._from, at, effect, found_values(found), None, found.fit.values, below)
+        other = self.attempts.attempt(name_of(effect), there)
+        return other if other is not None and _is_plausible(at, other) else None
+
     def judged(
         self, at: Weighted, effect: Effect, names: tuple[str, ...], model: Model, fit: Fit
     ) -> Candidate:

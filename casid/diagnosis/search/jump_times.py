@@ -113,10 +113,13 @@ def _placed(
         assert now is not None
         times = now + reach * np.linspace(-1, 1, JUMPS.instants)
         inside = [float(t) for t in times if start < t < stop]
-        model = found.model
-        effects = [at_instant(found.effect, model, t) for t in inside]
+        effects = [at_instant(found.effect, found.model, t) for t in inside]
         left = scan(found.fit, found.names[0], effects)
-        found = _better_at(refitting, at, found, inside[int(np.argmin(left))], known)
+        best = int(np.argmin(left))
+        if left[int(np.argmin(np.abs(np.subtract(inside, now))))] - left[best] > JUMPS.worth:
+            found = _better_at(refitting, at, found, inside[best], known)
+        if np.ptp(left[max(best - 1, 0) : best + 2]) < JUMPS.worth:
+            break  # no instant between two of them leaves less
     return found
 
 
@@ -134,7 +137,7 @@ def _better_at(
     other = at_instant(found.effect, at.model, instant, end)
     if is_known_event(at, other, known):
         return found
-    again = refitting.refit(at, other, float(found.fit.values[found.names[0]]))
+    again = refitting.moved(at, found, other)
     if again is None or again.gain <= found.gain:
         return found
     return replace(again, score=found.score)
