@@ -65,62 +65,85 @@ KEPT = 2000
 _FLAGS = ("-ffp-contract=off", "-w")  # the operations as they are written, none fused
 _LEVELS = ("-O0", "-O1")
 
-_LOOP = """
+_BARE = ("-nostdlib", "-nostartfiles") if sys.platform == "linux" else ()
+"""A step calls nothing but mathematics, and linking is a quarter of what compiling it takes."""
+
+_OF_ONE = "acos asin atan sinh cosh tanh exp log sqrt sin cos tan fabs floor ceil erf log1p expm1"
+_OF_TWO = "pow fmod fmin fmax atan2 copysign hypot"
+_MATHEMATICS = "".join(
+    [f"double {name}(double);\n" for name in _OF_ONE.split()]
+    + [f"double {name}(double, double);\n" for name in _OF_TWO.split()]
+)
+"""Instead of the header, which takes as long to read as a short step takes to compile."""
+
+_EXPORTED = """
 #ifdef _WIN32
 __declspec(dllexport)
 #else
 __attribute__ ((visibility ("default")))
 #endif
-void steps(long long count, long long substeps, double *state, const double *u,
-           const double *after, const double *p, const double *shares, double *numbers,
-           double *kept, double *out, double easy) {
-  static const int banded[] = {%(banded)s};
+"""
+
+_LOOP = (
+    """
+#include <math.h>
+typedef int (*step_t)(const double **, double **, long long *, double *, int);
+"""
+    + _EXPORTED
+    + """
+void steps(step_t step, const long long *sizes, long long count, long long substeps, double *state,
+           const double *u, const double *after, const double *p, const double *shares,
+           double *numbers, double *kept, double *out, double *room, double easy) {
   static const double parts[3][3] = {{0, 0.5, 1}, {0, 0.25, 0.5}, {0.5, 0.75, 1}};
-  const long long inside = 2 * substeps - 1, width = %(nu)d + %(nb)d * inside;
+  const long long n_state = sizes[0], n_out = sizes[1], row = sizes[2], nx = sizes[3];
+  const long long nu = sizes[4], nb = sizes[5], *banded = sizes + 6;
+  const long long inside = 2 * substeps - 1, width = nu + nb * inside;
   const double *arg[5];
   double *res[3];
-  double next[%(n_state)d], once[%(n_state)d], half[%(n_state)d];
-  double spare[%(row)d + 1], within[3 * (1 + %(nb)d)];
-  long long k, i;
-  int j, is_easy;
+  double *next = room, *once = next + n_state, *half = once + n_state;
+  double *within = half + n_state, *spare = within + 3 * (1 + nb);
+  long long k, i, j;
+  int is_easy;
   arg[3] = p;
   for (k = 0; k < count; ++k) {
-    arg[0] = state; arg[1] = u + k * width; arg[2] = after + k * %(nu)d; arg[4] = within;
+    arg[0] = state; arg[1] = u + k * width; arg[2] = after + k * nu; arg[4] = within;
     res[0] = next;
     is_easy = easy > 0;
     if (is_easy) {
-      arg[4] = parts[0]; res[0] = once; res[1] = out + k * %(row)d; res[2] = spare;
-      %(name)s(arg, res, 0, numbers, 0);
+      arg[4] = parts[0]; res[0] = once; res[1] = out + k * row; res[2] = spare;
+      step(arg, res, 0, numbers, 0);
       arg[4] = parts[1]; res[0] = half; res[1] = spare;
-      %(name)s(arg, res, 0, numbers, 0);
+      step(arg, res, 0, numbers, 0);
       arg[0] = half; arg[4] = parts[2]; res[0] = next;
-      res[2] = out + k * %(row)d + %(n_out)d;
-      %(name)s(arg, res, 0, numbers, 0);
-      for (j = 0; j < %(n_state)d; ++j)
+      res[2] = out + k * row + n_out;
+      step(arg, res, 0, numbers, 0);
+      for (j = 0; j < n_state; ++j)
         is_easy = is_easy
           && fabs(next[j] - once[j]) <= easy * fmax(fabs(state[j]), fabs(next[j]));
       arg[0] = state; arg[4] = within;
     }
     if (is_easy)
-      for (j = 0; j < %(n_state)d; ++j) state[j] = next[j];
+      for (j = 0; j < n_state; ++j) state[j] = next[j];
     for (i = 0; i < substeps && !is_easy; ++i) {
       for (j = 0; j < 3; ++j) within[j] = shares[2 * i + j];
-      for (j = 0; j < %(nb)d; ++j) {
+      for (j = 0; j < nb; ++j) {
         const double begin = arg[1][banded[j]], end = arg[2][banded[j]];
-        const double *course = arg[1] + %(nu)d + j * inside + 2 * i;
+        const double *course = arg[1] + nu + j * inside + 2 * i;
         within[3 + 3 * j] = i > 0 ? course[-1] : begin;
         within[4 + 3 * j] = course[0];
         within[5 + 3 * j] = i < substeps - 1 ? course[1] : begin + (end - begin);
       }
-      res[1] = i > 0 ? spare : out + k * %(row)d;
-      res[2] = i < substeps - 1 ? spare : out + k * %(row)d + %(n_out)d;
-      %(name)s(arg, res, 0, numbers, 0);
-      for (j = 0; j < %(n_state)d; ++j) state[j] = next[j];
+      res[1] = i > 0 ? spare : out + k * row;
+      res[2] = i < substeps - 1 ? spare : out + k * row + n_out;
+      step(arg, res, 0, numbers, 0);
+      for (j = 0; j < n_state; ++j) state[j] = next[j];
     }
-    for (j = 0; j < %(nx)d; ++j) kept[k * %(nx)d + j] = next[j];
+    for (j = 0; j < nx; ++j) kept[k * nx + j] = next[j];
   }
 }
 """
+)
+"""Through samples with any step: compiled once."""
 
 
 class MachineCode:
@@ -135,7 +158,10 @@ class MachineCode:
     """
 
     def __init__(self, function: Any, nx: int, banded: Sequence[int] = ()) -> None:
-        self._function, self._nx, self._banded = function, nx, banded
+        self._function = function
+        n_out, row = function.numel_out(1), function.numel_out(1) + function.numel_out(2)
+        sizes = [function.numel_out(0), n_out, row, nx, function.numel_in(1), len(banded), *banded]
+        self._sizes = np.array(sizes, dtype=np.int64)  # as the loop reads them
         self._enough = _enough(int(function.n_instructions()))
         self._taken = 0
         self._source: tuple[str, Array] | None = None
@@ -160,12 +186,13 @@ class MachineCode:
             self._level = len(_LEVELS)
             return
         if self._source is None:
-            self._source = source_of(self._function, self._nx, self._banded)
+            self._source = source_of(self._function)
         text, numbers = self._source
         for level in range(len(_LEVELS), self._level, -1):
-            entry = _library(text, _LEVELS[level - 1], folder, compile_it=level == wanted)
-            if entry is not None:
-                self._steps, self._level = _called(entry, numbers), level
+            step = _library(text, _LEVELS[level - 1], folder, compile_it=level == wanted)
+            loop = None if step is None else _loop(folder)
+            if loop is not None:
+                self._steps, self._level = _called(loop, step, self._sizes, numbers), level
                 return
         self._level = max(self._level, wanted)
 
@@ -183,7 +210,10 @@ def _enough(n: int) -> tuple[float, float]:
     )
 
 
-def _called(entry: Any, numbers: Array) -> Steps:
+def _called(loop: Any, step: Any, sizes: Array, numbers: Array) -> Steps:
+    address = ctypes.cast(step, ctypes.c_void_p)
+    n_state, _, row, _, _, banded, *_ = sizes.tolist()
+
     def steps(
         state: Array,
         u: Array,
@@ -194,14 +224,17 @@ def _called(entry: Any, numbers: Array) -> Steps:
         out: Array,
         easy: float,
     ) -> None:
-        arrays = (state, u, after, p, shares, numbers, kept, out)
-        entry(len(u), len(shares) // 2, *(each.ctypes.data for each in arrays), easy)
+        room = np.empty(3 * n_state + 3 * (1 + banded) + row + 1)
+        arrays = (state, u, after, p, shares, numbers, kept, out, room)
+        count, substeps = len(u), len(shares) // 2
+        given = (each.ctypes.data for each in arrays)
+        loop(address, sizes.ctypes.data, count, substeps, *given, easy)
 
     return steps
 
 
-def source_of(function: Any, nx: int, banded: Sequence[int] = ()) -> tuple[str, Array]:
-    """C of the loop over a step, and the numbers that were taken out of it.
+def source_of(function: Any) -> tuple[str, Array]:
+    """C of a step, and the numbers that were taken out of it.
 
     They come as the working memory that CasADi's code takes, of which a formula needs none.
     """
@@ -219,24 +252,37 @@ def source_of(function: Any, nx: int, banded: Sequence[int] = ()) -> tuple[str, 
     text = re.sub(r"arg\[(\d)\]\? (arg\[\d\]\[\d+\]) : 0;", r"\2;", text)
     text = re.sub(r"if \(res\[\d\]!=0\) ", "", text)
     text = re.sub(r"=(-?\d[^;a-z\[]*(?:e[-+]\d+)?);", taken_out, text)
-    (name,) = re.findall(r"static int (casadi_f\d+)\(", text)
-    sizes = {"n_state": function.numel_out(0), "n_out": function.numel_out(1)}
-    sizes |= {"nu": function.numel_in(1), "nx": nx, "nb": len(banded)}
-    sizes["row"] = sizes["n_out"] + function.numel_out(2)
-    columns = ", ".join(map(str, banded or (0,)))
-    return text + _LOOP % {"name": name, "banded": columns, **sizes}, np.array(numbers)
+    (function_begins,) = re.finditer(r"^static (?=int casadi_f\d+\()", text, re.MULTILINE)
+    helpers, step = text[: function_begins.start()], text[function_begins.end() :]
+    step = _EXPORTED + step[: step.index("\n}\n") + 3].replace("casadi_f0(", "step(", 1)
+    text = helpers + step
+    called = set(re.findall(r"\b([a-z]\w*)\(", re.sub(r"\w*(casadi|CASADI)\w*", "", text)))
+    if called <= {*_OF_ONE.split(), *_OF_TWO.split(), "step", "sizeof"}:
+        text = text.replace("#include <math.h>", _MATHEMATICS)
+    return text, np.array(numbers)
+
+
+@functools.lru_cache(maxsize=8)
+def _loop(folder: Path) -> Any:
+    """The loop over samples, with its arguments; None where it cannot be compiled."""
+    inside = folder / "loop"
+    with contextlib.suppress(OSError):
+        inside.mkdir(mode=0o700, exist_ok=True)
+    entry = _library(_LOOP, _LEVELS[-1], inside, compile_it=True)
+    if entry is not None:
+        entry.argtypes = [ctypes.c_void_p] * 2 + [ctypes.c_longlong] * 2
+        entry.argtypes += [ctypes.c_void_p] * 9 + [ctypes.c_double]
+        entry.restype = None
+    return entry
 
 
 @functools.lru_cache(maxsize=4096)
 def _loaded(path: str) -> Any:
-    """The loop of a library; None where it cannot be loaded."""
-    try:
-        entry = ctypes.CDLL(path).steps
-    except (OSError, AttributeError):
-        return None
-    entry.argtypes = [ctypes.c_longlong] * 2 + [ctypes.c_void_p] * 8 + [ctypes.c_double]
-    entry.restype = None
-    return entry
+    """The function of a library; None where it cannot be loaded."""
+    with contextlib.suppress(OSError, AttributeError):
+        library = ctypes.CDLL(path)
+        return library.steps if Path(path).parent.name == "loop" else library.step
+    return None
 
 
 def _library(text: str, level: str, folder: Path, *, compile_it: bool) -> Any:
@@ -256,7 +302,7 @@ def _library(text: str, level: str, folder: Path, *, compile_it: bool) -> Any:
         with tempfile.TemporaryDirectory(dir=folder) as inside:
             written = Path(inside, "step.c")
             written.write_text(text, encoding="utf-8")
-            made = shared_library([written], Path(inside, path.name), level, *_FLAGS)
+            made = shared_library([written], Path(inside, path.name), level, *_FLAGS, *_BARE)
             made.replace(path)  # whole or not at all: others may be looking
         _forget_oldest(folder)
     except (OSError, DataError):
