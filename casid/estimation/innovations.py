@@ -31,6 +31,10 @@ ComplexArray = NDArray[np.complex128]
 
 GROUP = 8
 """Columns that are filtered at once: their transforms take eight times their own room."""
+FORGOTTEN = 1e-12
+"""Of a filter's norm, what is left of it where it ends: less is rounding."""
+LENGTHS = 8
+"""Lengths of a filter that one transform takes of a long record: the parts overlap by one."""
 COHERENT = 1e-3
 """Squared coherence below which outputs are whitened one by one."""
 LONGEST = 400
@@ -71,10 +75,14 @@ class Innovations:
     root: Array
     start: Array
     added: Array
+    taps: Array | None = None  # (n, n, L) 1 / H, where it forgets early
 
     def whiten(self, columns: Array) -> Array:
         """e (N, n, m) of columns r (N, n, m), for the N that it is for."""
-        out = _filtered(self.inverse, columns, self.size)
+        if self.taps is not None and len(columns) > LENGTHS * self.taps.shape[2]:
+            out = _in_parts(self.taps, columns)
+        else:
+            out = _filtered(self.inverse, columns, self.size)
         flat = out.reshape(len(out) * out.shape[1], out.shape[2])
         if len(self.added):
             scale = 1 / np.sqrt(1 + self.added) - 1
@@ -120,7 +128,16 @@ def innovations_of(omega: Array, spectrum: Array, samples: int) -> Innovations:
     q = q * np.where(np.diag(r) < 0, -1.0, 1.0)
     inverse = np.einsum("ji,jkf->ikf", q, inverse)
     start, added = _start(S, inverse, size, samples)
-    return Innovations(inverse, size, root @ q, start, added)
+    return Innovations(inverse, size, root @ q, start, added, _taps(inverse, size))
+
+
+def _taps(inverse: ComplexArray, size: int) -> Array | None:
+    """(n, n, L) of a filter (n, n, F) that has forgotten its input after L samples, L << size."""
+    taps = irfft(inverse, size)
+    power = np.sum(taps**2, axis=(0, 1))
+    left = np.sqrt(np.cumsum(power[::-1])[::-1])
+    end = int(np.searchsorted(-left, -FORGOTTEN * left[0]))
+    return taps[:, :, :end].copy() if 0 < LENGTHS * end < size else None
 
 
 def _of_full_rank(S: ComplexArray) -> ComplexArray:
@@ -253,9 +270,27 @@ def _filtered(filters: ComplexArray, columns: Array, size: int) -> Array:
     is_alone = not filters[~np.eye(n, dtype=bool)].any()
     for first in range(0, m, GROUP):
         group = slice(first, first + GROUP)
-        spectra = [rfft(columns[:, j, group], size, axis=0) for j in range(n)]
+        # Row by row: with a stride between its samples, a transform of a long record takes longer.
+        spectra = [rfft(np.ascontiguousarray(columns[:, j, group].T), size) for j in range(n)]
         for i in range(n):
             among = [i] if is_alone else range(n)
-            total = sum(filters[i, j][:, None] * spectra[j] for j in among)
-            out[:, i, group] = irfft(total, size, axis=0, overwrite_x=True)[:N]
+            total = sum(filters[i, j] * spectra[j] for j in among)
+            out[:, i, group] = irfft(total, size, overwrite_x=True)[:, :N].T
+    return out
+
+
+def _in_parts(taps: Array, columns: Array) -> Array:
+    """The same with filters (n, n, L) as they are in time: part by part, each from L samples before.
+
+    A transform of a part stays in the processor's cache (overlap-save).
+    """
+    N, before = len(columns), taps.shape[2] - 1
+    size = next_fast_len(LENGTHS * (before + 1), real=True)
+    filters, step = rfft(taps, size), size - before
+    padded = np.zeros((before + -(-N // step) * step, *columns.shape[1:]))
+    padded[before : before + N] = columns
+    out = np.empty(columns.shape)
+    for first in range(0, N, step):
+        part = _filtered(filters, padded[first : first + size], size)
+        out[first : first + step] = part[before : before + min(step, N - first)]
     return out
