@@ -280,7 +280,7 @@ def _filtered(filters: ComplexArray, columns: Array, size: int) -> Array:
 
 
 def _in_parts(taps: Array, columns: Array) -> Array:
-    """The same with filters (n, n, L) as they are in time: part by part, each from L samples before.
+    """The same with filters (n, n, L) as they are in time, part by part from L samples before each.
 
     A transform of a part stays in the processor's cache (overlap-save).
     """

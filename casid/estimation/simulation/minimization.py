@@ -172,9 +172,10 @@ def _solved(nlp: Nlp, criterion: SimulationError, solver: Solver | None, point: 
 
     An end above where it began is none: it is sought once more, without steps that rise.
     """
+    begun = criterion.evaluate(point).value  # now: later it would have to be simulated once more
     solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
     again = None if solution.is_converged or seconds_left() <= 0.0 else descending(solver)
-    if again is not None and not solution.value <= criterion.evaluate(point).value:
+    if again is not None and not solution.value <= begun:
         solution = nlp.solve(again, point.tolist(), throw=False, natural_scales=True)
     if not (np.isfinite(solution.value) and np.all(np.isfinite(solution.hessian))):
         there = zip(solution.names, solution.x.tolist(), strict=True)

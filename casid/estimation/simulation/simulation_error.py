@@ -36,8 +36,8 @@ from casid.estimation.simulation.sensor_dynamics import (
     through_sensor,
 )
 from casid.estimation.simulation.signals import Signals, output_spread, signals_of
-from casid.estimation.simulation.simulator import Simulator
-from casid.estimation.unknowns import LastOf, Unknowns, Variable
+from casid.estimation.simulation.simulator import Simulator, place_columns
+from casid.estimation.unknowns import LastOf, LastPoints, Unknowns, Variable
 from casid.grouping import Grouped
 from casid.model.model import Model
 
@@ -47,14 +47,6 @@ Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> 
 def window_cuts(N: int, window: int) -> Array:
     """(windows + 1,) where windows of about `window` samples begin, and N."""
     return np.linspace(0, N, max(N // window, 1) + 1).astype(int)
-
-
-def _place(jac: Array, dy: Array, index: Array) -> None:
-    """Columns of `dy` to the places that `index` gives, -1 for none; some rows at a time."""
-    keep = index >= 0
-    for first in range(0, len(dy), 1 << 13):
-        rows = slice(first, first + (1 << 13))
-        jac[rows, :, index[keep]] = dy[rows][:, :, keep]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +113,8 @@ class SimulationError:
     def of_first_samples(self, count: int) -> SimulationError:
         """The same variables, and of each segment or window its first samples alone, not joined."""
         other = copy.copy(self)
-        other.joined, other._last, other.data = False, LastOf(), []
+        other.joined, other.data = False, []
+        other._last, other._evaluated = LastOf(), LastPoints()
         for d, cuts in zip(self.data, self._cuts, strict=True):
             part = np.searchsorted(cuts, np.arange(d.N), side="right") - 1
             early = np.arange(d.N) - cuts[part] < count
@@ -173,6 +166,7 @@ class SimulationError:
         self._sizes: dict[str, float] = {}  # of states where parts of records begin
         self._lay_out()
         self._last: LastOf[Simulated] = LastOf()
+        self._evaluated: LastPoints[Evaluation] = LastPoints()
         self._courses: dict[int, tuple[Array, Array]] = {}  # inputs, and the same with courses
         if self.segments == 1 and any(stage.kind in MEMORY for stage in model.stages):
             self._bound_initial_states()
@@ -350,8 +344,8 @@ class SimulationError:
                     jac, dbefore = np.zeros((d.N, ny, n)), np.zeros((d.N, len(stepping), n))
                 assert run.dy is not None
                 assert run.dbefore is not None
-                _place(jac[part], run.dy, index)
-                _place(dbefore[part], run.dbefore, index)
+                place_columns(jac[part], run.dy, index)
+                place_columns(dbefore[part], run.dbefore, index)
             else:
                 run = simulator.simulate(u, p, x0)
             assert run.before is not None
@@ -435,7 +429,13 @@ class SimulationError:
         return stack[:, :, 0], stack[:, :, 1:]
 
     def evaluate(self, x: Array) -> Evaluation:
-        """Value, gradient, Gauss-Newton matrix and continuity constraints at `x` (n,)."""
+        """Value, gradient, Gauss-Newton matrix and continuity constraints at `x` (n,).
+
+        Those of the last points are kept: of a search that is where it began, and where it ended.
+        """
+        return self._evaluated((x, self.weights, self.whiten), lambda: self._evaluate(x))
+
+    def _evaluate(self, x: Array) -> Evaluation:
         n = len(self.variables)
         value, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
         with np.errstate(all="ignore"):

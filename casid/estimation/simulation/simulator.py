@@ -313,6 +313,14 @@ class Simulator:
         return [*range(n), *(n + i for i in self._felt)]
 
 
+def place_columns(jac: Array, dy: Array, index: Array) -> None:
+    """Columns of `dy` to the places that `index` gives, -1 for none; some rows at a time."""
+    keep = index >= 0
+    for first in range(0, len(dy), 1 << 13):
+        rows = slice(first, first + (1 << 13))
+        jac[rows, :, index[keep]] = dy[rows][:, :, keep]
+
+
 def _felt(e: Explicit, pinned: Mapping[str, float]) -> set[str]:
     """States that some output depends on, through other states or directly.
 
