@@ -27,7 +27,9 @@ from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.search.imitations import is_soft_stop
 from casid.diagnosis.thresholds import REFITS
 from casid.errors import SolveError
+from casid.estimation.nlp.solver import LEADS_TO_KNOWN
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import KINDS, SWITCHED, Effect
 from casid.model.model import Model
 
@@ -65,7 +67,7 @@ class Refitting:
             values = {**at.fit.values, **(best.fit.values if best else {})}
             low = _lower(below, best)
             found = self.attempts.attempt(
-                name_of(effect), partial(self._from, at, effect, first, upper, values, low)
+                name_of(effect), partial(self._from, at, effect, first, upper, values, low, best)
             )
             if found is not None and (best is None or found.gain > best.gain):
                 best = found
@@ -126,7 +128,7 @@ class Refitting:
                 return best
         start, upper = _starts(at, effect, step, near=True)[0]
         first = {**starts, effect.parameters[0].name: start}
-        afresh = partial(self._from, at, effect, first, upper, {}, _lower(below, best))
+        afresh = partial(self._from, at, effect, first, upper, {}, _lower(below, best), best)
         found = self.attempts.attempt(name_of(effect), afresh)
         return found if found and (best is None or found.gain > best.gain) else best
 
@@ -138,8 +140,12 @@ class Refitting:
         upper: float | None,
         values: Mapping[str, float],
         below: float = np.inf,
+        best: Candidate | None = None,
     ) -> Candidate:
-        """The refit from one start; `values` of everything else, `below` as in `refit`."""
+        """The refit from one start; `values` of everything else, `below` as in `refit`.
+
+        `best` is what other starts led to, and is returned where this one leads there, too.
+        """
         model, names = effect.extended(at.model, starts=starts, upper=upper)
         moved = moved_parameter(effect)
         if moved is not None and np.isinf(effect.parameters[0].lower):  # else it keeps the sign
@@ -150,11 +156,15 @@ class Refitting:
         criterion = self.weighing.criterion(model, at.noise, values, at.criterion)
         fit = minimize_simulation_error(
             criterion,
-            solver=replace(self.weighing.solver or COMPARED, below=below),
+            solver=replace(
+                self.weighing.solver or COMPARED, below=below, known=_known(criterion, best)
+            ),
             check_rank=False,
             throw=False,
             retry="none",
         )
+        if best is not None and fit.solution.status == LEADS_TO_KNOWN:
+            return best
         found = self.judged(at, effect, names, model, fit)
         if not (np.isfinite(found.gain) and np.isfinite(found.wald)):
             raise SolveError("its gain is not finite")
@@ -173,7 +183,7 @@ class Refitting:
         new = self.refit(at, effect, values[first.name] - first.start, starts=values, near=near)
         if new is not None and error_over_noise(new.fit, at.noise) < REFITS.explained:
             return new
-        whole = partial(self._from, at, effect, values, None, found.fit.values)
+        whole = partial(self._from, at, effect, values, None, found.fit.values, best=new)
         other = self.attempts.attempt(name_of(effect), whole)
         if other is None or not _is_plausible(at, other):
             return new
@@ -239,6 +249,17 @@ def _is_plausible(at: Weighted, found: Candidate) -> bool:
     effect = found.effect
     size = found.fit.values[found.names[0]] - effect.parameters[0].start
     return abs(size) >= effect.constants.get("least", 0.0) and not is_soft_stop(at, found)
+
+
+def _known(criterion: SimulationError, best: Candidate | None) -> tuple[float, ...]:
+    """The minimum of a candidate, if it is one of this criterion, too: of its variables, inside."""
+    if best is None or best.fit.criterion.names != criterion.names:
+        return ()
+    x = best.fit.x.tolist()
+    inside = (v.lower <= a <= v.upper for v, a in zip(criterion.variables, x, strict=True))
+    same = zip(criterion.data, best.fit.criterion.data, strict=True)
+    is_same = all(inside) and all(np.array_equal(d.used, its.used) for d, its in same)
+    return tuple(x) if is_same else ()
 
 
 def _lower(below: float, best: Candidate | None) -> float:

@@ -85,6 +85,7 @@ class CriterionProgram:
             patience=patience,
             enough=solver.enough if self._is_alone else 0.0,
             below=solver.below,
+            known=solver.known,
             steps=most,
         )
         self.evaluate = self._one_pass.judged

@@ -63,6 +63,10 @@ _MAX_ITERATIONS = {
 }
 
 
+LEADS_TO_KNOWN = "Leads_To_Known_Minimum"
+"""The status of a search that ends for that (`Solver.known`)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Solver:
     """An NLP solver by its CasADi plug-in name, with the plug-in's own options.
@@ -77,6 +81,8 @@ class Solver:
         less than this share of it, or some steps together did not lower it by more. 0: nowhere.
     below : it ends there, too, where the fall of its last steps, kept up for all that it has left,
         would not bring it below this value: what does not matter need not be exact.
+    known : (n,) a minimum that was found before, in physical units: it ends there, too, where two
+        steps in a row lead to it, as `LEADS_TO_KNOWN`.
     """
 
     name: str = "ipopt"
@@ -84,6 +90,7 @@ class Solver:
     options: Mapping[str, Any] = field(default_factory=dict)
     enough: float = 0.0
     below: float = math.inf
+    known: tuple[float, ...] = ()
 
     def nlpsol_options(self) -> dict[str, Any]:
         """Options as `casadi.nlpsol` takes them."""
