@@ -101,8 +101,11 @@ def noise_response(
     enters = _input_stages(
         criterion, x, experiment, e.inputs, measured, len(forced), len(omega) - 1
     )
-    course = responses_between(omega, 2 * criterion.substeps)
-    rhs = (b0 + z[:, None, None] * b1 + np.einsum("fk,kxu->fxu", course, inside)) @ enters
+    rhs = b0 + z[:, None, None] * b1
+    if inside.any():
+        course = responses_between(omega, 2 * criterion.substeps)
+        rhs = rhs + np.einsum("fk,kxu->fxu", course, inside)
+    rhs = rhs @ enters
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
     g = g * _sensor_stages(criterion, x, experiment, len(omega) - 1)[:, :, None]
     for name in set(measured) & set(d.filled):
