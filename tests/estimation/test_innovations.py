@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -88,6 +90,23 @@ def test_what_is_whitened_has_unit_covariance_and_no_memory():
     for lag in range(4):
         expected = np.eye(2) if lag == 0 else np.zeros((2, 2))
         assert e[lag:].T @ e[: N - lag] / N == pytest.approx(expected, abs=5 / np.sqrt(N))
+
+
+def test_parts_of_a_long_record_are_whitened_as_the_whole():
+    """The filter is forgotten to 1e-12 where it ends; rounding of its taps adds a few of these."""
+    N = 20_000  # twice as many are a length of fast transforms
+    omega = np.linspace(0.0, np.pi, N + 1)
+    force = 1 / (1 - 1.6 * np.exp(-1j * omega) + 0.8 * np.exp(-2j * omega))
+    power = abs(force) ** 2 + 0.1
+    found = innovations_of(omega, power[:, None, None] * np.diag([1.0, 4.0]), N)
+    assert found.taps is not None
+    columns = np.random.default_rng(4).standard_normal((N, 2, 3))
+    whole = replace(found, taps=None).whiten(columns)
+    assert found.whiten(columns) == pytest.approx(whole, abs=1e-11 * float(np.abs(whole).max()))
+
+
+def test_a_filter_that_remembers_the_record_is_not_cut():
+    assert innovations_of(OMEGA, one(), 2000).taps is None
 
 
 def test_no_columns_stay_none():

@@ -12,7 +12,7 @@ from casid.errors import SolveError
 from casid.estimation.nlp.criterion import FALL, PATIENCE
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation
-from casid.estimation.nlp.solver import Solver, descending
+from casid.estimation.nlp.solver import LEADS_TO_KNOWN, Solver, descending
 
 SOLVERS = pytest.mark.parametrize("solver", [Solver("ipopt"), Solver("sqpmethod")], ids=repr)
 N = 30
@@ -250,6 +250,17 @@ def test_a_search_ends_where_its_pace_would_not_bring_it_low_enough(below, ends_
     assert end.status == (
         "Search_Direction_Becomes_Too_Small" if ends_early else "Maximum_Iterations_Exceeded"
     )
+
+
+@pytest.mark.parametrize(("share", "leads"), [(1.0, True), (0.5, False), (2.0, False)])
+def test_a_search_ends_where_its_steps_lead_to_a_minimum_that_is_known(share, leads):
+    """A point half way to the minimum, or as far behind it, is none, and the search goes on."""
+    best = decay(Decay()).solve(Solver(options=NEAR))
+    known = tuple(1.0 + share * (best.x - 1.0))  # every variable starts at 1
+    solver = Solver(options=NEAR, enough=1e-12, known=known)
+    end = decay(Decay()).solve(solver, throw=False, natural_scales=True)
+    assert (end.status == LEADS_TO_KNOWN) == leads
+    assert leads or end.value == pytest.approx(best.value, rel=1e-9)
 
 
 def test_a_criterion_with_constraints_is_solved_to_its_end_whatever_is_enough():

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 import casid
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.estimation.nlp.nlp import Nlp
-from casid.estimation.nlp.solver import descending
+from casid.estimation.nlp.solver import Solver, descending
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -46,6 +46,28 @@ def test_the_weights_are_those_of_the_likelihood_with_unknown_variances():
     error = sd["fine"] / np.sqrt(np.sum((t * np.exp(-1.3 * t)) ** 2))
     assert fit.values["a"] == pytest.approx(1.3, abs=5 * 2 * error)
     assert abs(first.values["a"] - 1.3) > abs(fit.values["a"] - 1.3)
+
+
+def test_no_point_of_a_search_is_simulated_twice(monkeypatch):
+    """Neither where it began nor where it ended, of which value and derivatives are kept."""
+    points: list[bytes] = []
+    simulated = SimulationError._simulated
+
+    def counted(self, x, experiment, signals=None):
+        points.append(x.tobytes())
+        return simulated(self, x, experiment, signals)
+
+    monkeypatch.setattr(SimulationError, "_simulated", counted)
+    t = 0.05 * np.arange(200)
+    y = np.exp(-1.3 * t) + 0.1 * np.random.default_rng(3).standard_normal(200)
+    record = casid.Record({"coarse": y, "fine": y}, {"coarse": "1", "fine": "1"}, Ts=0.05)
+    criterion = SimulationError(decay(), [casid.Experiment(record, {}, "r")])
+    # A tolerance that rounding forbids: what did not converge is compared with where it began.
+    solver = Solver(options={"ipopt.tol": 1e-15, "ipopt.acceptable_iter": 0}, max_iterations=4)
+    fit = minimize_simulation_error(criterion, solver=solver, throw=False, retry="none")
+    criterion.evaluate(fit.x)
+    assert len(points) > 2
+    assert len(points) == len(set(points))
 
 
 def test_a_single_output_keeps_its_fit():

@@ -84,6 +84,15 @@ def test_numbers_of_a_formula_are_no_part_of_its_code(
 
 
 @needs_compiler
+def test_the_loop_over_samples_is_compiled_once(cache: Path) -> None:
+    s = Simulator(oscillator(), TS, FREE)
+    s.simulate(U, P, X0)
+    s.sensitivities(U, P, X0)
+    assert len(list(cache.glob("*.so"))) == 2
+    assert len(list(cache.glob("loop/*.so"))) == 1
+
+
+@needs_compiler
 def test_a_step_is_compiled_when_the_interpreter_has_taken_as_long(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
