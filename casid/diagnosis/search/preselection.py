@@ -55,10 +55,12 @@ def preselected(
     small = Refitting(weighing, refitting.left_out, refitting.attempts)
     part = replace(at, fit=weighing.fitted(at.model, at, at.fit.values), unbiased=None)
     found: dict[tuple[str, str], Candidate | None] = {}
+    best = 0.0
     for i, s in enumerate(compared):
         progress(f"refit on a part {i + 1}/{len(compared)}: {s.effect!r}")
-        found[s.effect.key] = small.refit(part, s.effect, s.step, starts=s.starts)
-    best = max((c.gain for c in found.values() if c is not None), default=0.0)
+        below = part.fit.solution.value - 0.5 * ROUNDS.kept * best
+        c = found[s.effect.key] = small.refit(part, s.effect, s.step, starts=s.starts, below=below)
+        best = max(best, c.gain if c is not None else 0.0)
     out = []
     for s in short:
         c = found.get(s.effect.key)

@@ -36,7 +36,7 @@ from casid.estimation.simulation.sensor_dynamics import (
     through_sensor,
 )
 from casid.estimation.simulation.signals import Signals, output_spread, signals_of
-from casid.estimation.simulation.simulator import Simulator, place_columns
+from casid.estimation.simulation.simulator import Simulator, placed
 from casid.estimation.unknowns import LastOf, LastPoints, Unknowns, Variable
 from casid.grouping import Grouped
 from casid.model.model import Model
@@ -332,27 +332,26 @@ class SimulationError:
         inputs = self._prepared_inputs(x, experiment, d)
         y, states = np.empty((d.N, ny)), np.empty((d.N, len(self.model.states)))
         stepping = simulator.stepping
-        before, dbefore = np.empty((d.N, len(stepping))), np.zeros((0, 0, 0))
+        before = np.empty((d.N, len(stepping)))
         jac: Array | None = None
+        dbefore: Array | None = None
         for i, index in enumerate(self._index[experiment]):
             part = slice(int(cuts[i]), int(cuts[i + 1]))
             p, x0 = self.parameter_vector(x, experiment, i)
             u = inputs[part]
             if tangent:
                 run = simulator.sensitivities(u, p, x0)
-                if jac is None:  # not before: the simulation takes as much room for itself
-                    jac, dbefore = np.zeros((d.N, ny, n)), np.zeros((d.N, len(stepping), n))
                 assert run.dy is not None
                 assert run.dbefore is not None
-                place_columns(jac[part], run.dy, index)
-                place_columns(dbefore[part], run.dbefore, index)
+                jac = placed(jac, run.dy, index, part, (d.N, ny, n))
+                dbefore = placed(dbefore, run.dbefore, index, part, (d.N, len(stepping), n))
             else:
                 run = simulator.simulate(u, p, x0)
             assert run.before is not None
             y[part], states[part], before[part] = run.y, run.x[:-1], run.before
         p, _ = self.parameter_vector(x, experiment)
         steps = {
-            i: Before(before[:, k], None if jac is None else dbefore[:, k])
+            i: Before(before[:, k], None if dbefore is None else dbefore[:, k])
             for k, i in enumerate(stepping)
         }
         self._through_sensors(y, jac, p, d, self._index[experiment][0], steps)

@@ -313,12 +313,22 @@ class Simulator:
         return [*range(n), *(n + i for i in self._felt)]
 
 
-def place_columns(jac: Array, dy: Array, index: Array) -> None:
-    """Columns of `dy` to the places that `index` gives, -1 for none; some rows at a time."""
-    keep = index >= 0
-    for first in range(0, len(dy), 1 << 13):
+def placed(
+    out: Array | None, dy: Array, index: Array, part: slice, shape: tuple[int, int, int]
+) -> Array:
+    """Columns of `dy` in rows `part` of `out`, each where `index` says, -1 for nowhere.
+
+    `out` is made, of `shape`, where it is None, or is `dy` itself where all are in their places.
+    """
+    if out is None:  # not before: the simulation takes as much room for itself
+        if dy.shape == shape and np.array_equal(index, np.arange(shape[2])):
+            return dy
+        out = np.zeros(shape)
+    keep, into = index >= 0, out[part]
+    for first in range(0, len(dy), 1 << 13):  # some rows at a time
         rows = slice(first, first + (1 << 13))
-        jac[rows, :, index[keep]] = dy[rows][:, :, keep]
+        into[rows, :, index[keep]] = dy[rows][:, :, keep]
+    return out
 
 
 def _felt(e: Explicit, pinned: Mapping[str, float]) -> set[str]:
