@@ -53,6 +53,10 @@ OPTIMISED_AFTER = 25_000, 250, 90_000, 4000
 a longer one after the third, times n over the fourth: the time goes with the square of n, and what
 comes out takes a quarter of what the step took as it is."""
 
+FASTER = 8
+"""Times that an operation takes longer interpreted than compiled, at least: 4.5 ns against half of
+one."""
+
 TO_COME = 4
 """Passes that are expected after the present one, which count as taken: a fit has ten or so."""
 
@@ -162,8 +166,9 @@ class MachineCode:
         n_out, row = function.numel_out(1), function.numel_out(1) + function.numel_out(2)
         sizes = [function.numel_out(0), n_out, row, nx, function.numel_in(1), len(banded), *banded]
         self._sizes = np.array(sizes, dtype=np.int64)  # as the loop reads them
-        self._enough = _enough(int(function.n_instructions()))
-        self._taken = 0
+        self._count = int(function.n_instructions())
+        self._enough = _enough(self._count)
+        self._taken = 0.0  # samples, as long as they take interpreted
         self._source: tuple[str, Array] | None = None
         self._steps: Steps | None = None
         self._level = 0  # of what was tried: interpreted, as it is, optimised
@@ -178,6 +183,19 @@ class MachineCode:
         if wanted > self._level or (self._source is None and self._taken >= LOOKED_FOR):
             self._find(wanted)
         return self._steps
+
+    def stands_in_for(self, other: MachineCode, samples: int) -> bool:
+        """Whether to take this longer step, which is compiled, for a part of it that is not yet.
+
+        The part counts its samples by what they take so, and is compiled later or not at all.
+        """
+        share = self._count / (FASTER * other._count)
+        if self._steps is None or other._steps is not None or share >= 1.0:
+            return False
+        if other._taken + (1 + TO_COME) * share * samples >= min(other._enough):
+            return False
+        other._taken += share * samples
+        return True
 
     def _find(self, wanted: int) -> None:
         """Load the best that there is, compiling what is `wanted` where that is better."""

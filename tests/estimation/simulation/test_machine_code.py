@@ -93,6 +93,25 @@ def test_the_loop_over_samples_is_compiled_once(cache: Path) -> None:
 
 
 @needs_compiler
+def test_a_motion_comes_from_the_step_with_tangents_while_that_alone_is_compiled(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last digit, and until it has taken as long as a compiler for the motion alone."""
+    monkeypatch.setattr(machine_code, "OPTIMISED_AFTER", (400, 1000, 0, 1))
+    s = Simulator(oscillator(), TS, FREE)
+    s.sensitivities(U, P, X0)
+    assert len(list(cache.glob("*.so"))) == 1
+    motion = s.simulate(U, P, X0)
+    assert len(list(cache.glob("*.so"))) == 1
+    for _ in range(200):
+        s.simulate(U, P, X0)
+    assert len(list(cache.glob("*.so"))) == 2
+    expected = interpreted(monkeypatch)
+    np.testing.assert_allclose(motion.y, expected.y, rtol=1e-14, atol=0.0)
+    np.testing.assert_allclose(motion.x, expected.x, rtol=1e-14, atol=0.0)
+
+
+@needs_compiler
 def test_a_step_is_compiled_when_the_interpreter_has_taken_as_long(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
