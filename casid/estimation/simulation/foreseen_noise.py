@@ -18,7 +18,6 @@ from scipy.stats import norm
 from casid.arrays import Array, BoolArray
 from casid.estimation.simulation.thresholds import FORESEEN
 
-_KEPT = 100
 _known: dict[bytes, float] = {}
 """What was found of the last records: every model of them has the same bound."""
 
@@ -42,7 +41,7 @@ def foreseen_noise(
         records.update(f"{array.shape}{array.dtype}".encode() + array.tobytes())
     key = records.digest()
     if key not in _known:
-        if len(_known) >= _KEPT:
+        if len(_known) >= FORESEEN.kept:
             _known.clear()
         _known[key] = _foreseen(inputs, outputs, used)
     return _known[key]

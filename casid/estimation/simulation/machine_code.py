@@ -4,7 +4,8 @@ CasADi interprets a step operation by operation. Compiled, the same operations f
 the same order, to the same result, in about a tenth of the time. Compiling pays where a step is
 taken often: it begins when the interpreter has taken about as long as the compiler will. What was
 compiled is kept in a folder of the user's, one file a formula: the numbers in a formula (sample
-time, scale of an effect, instant of a jump) are arguments, so that other records find it again.
+time, scale of an effect, instant of a jump) are arguments, so that other records find it again. The
+loop over samples is one file for all formulas.
 """
 
 from __future__ import annotations

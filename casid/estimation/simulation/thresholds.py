@@ -218,6 +218,7 @@ class Foreseen:
         "of an output's power that its input does not have: less is the same channel",
         _FORESEEN,
     )
+    kept: int = _is(100, "bounds that are kept: every model of a record has the same", _FORESEEN)
 
 
 RECORD_AGREEMENT = RecordAgreement()

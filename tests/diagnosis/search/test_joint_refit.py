@@ -16,9 +16,13 @@ from scipy.linalg import expm
 import casid
 from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted
 from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.search.rounds import Search, shortlist
 from casid.diagnosis.thresholds import REFITS
+from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.structure_effects import actuator_lag
+from tests.support.hidden_forces import RECORDED, fitted
 
 TS, INERTIA, GAIN, DAMPING, LAG = 0.01, 0.012, 0.9, 0.02, 0.03  # s, kg m^2, N m, N m s/rad, s
 NOISE = {"angle": math.radians(0.1), "rate": 0.01}  # rad, rad/s
@@ -64,6 +68,34 @@ def roll_axis() -> casid.Problem:
     m.output("angle", phi, "rad")
     m.output("rate", p, "rad/s")
     return casid.Problem("roll axis", m)
+
+
+def test_a_start_that_leads_to_a_minimum_found_before_is_not_followed_to_its_end() -> None:
+    """Drag from twice its linearised size: the same minimum, to what a refit leaves of a step."""
+    at, experiments = fitted("quadratic damping", 3)
+    weighing = Weighing(experiments, known_noise={"F": 0.02})
+    refitting = Refitting(weighing)
+    scores = shortlist(at, Search(weighing, RECORDED).table(at, []))
+    (score,) = (s for s in scores if s.effect.key == ("quadratic_damping", "force"))
+    effect = score.effect
+    found = refitting.refit(at, effect, score.step)
+    assert found is not None
+    starts = {effect.parameters[0].name: 2 * score.step}
+    passes: list[int] = []
+    evaluated = SimulationError._evaluate
+
+    def counted(self: SimulationError, x: np.ndarray) -> Evaluation:
+        passes[-1] += 1
+        return evaluated(self, x)
+
+    for best in (None, found):
+        passes.append(0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(SimulationError, "_evaluate", counted)
+            other = refitting._from(at, effect, starts, None, at.fit.values, best=best)
+        assert (other is found) == (best is found)
+        assert other.gain == pytest.approx(found.gain, rel=1e-3)
+    assert passes[1] < passes[0]
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 import casid
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.noise_floor import floor_error, white_floor
+from casid.estimation.simulation import foreseen_noise as module
 from casid.estimation.simulation.foreseen_noise import foreseen_noise
 from casid.estimation.simulation.signals import Signals
 
@@ -37,6 +38,28 @@ def test_what_a_controller_makes_of_a_sensor_s_noise_is_no_noise_of_the_input() 
     d = in_a_loop(1, sensor=0.01, own=0.0)
     assert white_floor([d.u[:, 0]]) > 0.03
     assert input_noise_floor([d], ["u"])["u"] < 0.1 * 0.03
+
+
+def test_a_bound_is_computed_once_for_the_records_that_it_is_of(monkeypatch) -> None:
+    """Whatever arrays hold them, and anew for others or when more than `kept` have come since."""
+    computed = []
+    compute = module._foreseen
+    monkeypatch.setattr(module, "_known", {})
+    monkeypatch.setattr(module, "FORESEEN", replace(module.FORESEEN, kept=2))
+    monkeypatch.setattr(module, "_foreseen", lambda *a: computed.append(1) or compute(*a))
+    loops = [in_a_loop(seed, sensor=0.01, own=0.0) for seed in (1, 2, 3)]
+
+    def bound(d: Signals) -> float:
+        return foreseen_noise([d.u[:, 0].copy()], [d.y], [d.used])
+
+    first = bound(loops[0])
+    assert bound(loops[0]) == first
+    assert len(computed) == 1
+    assert bound(loops[1]) != first
+    assert bound(loops[2]) != first
+    assert len(computed) == 3
+    assert bound(loops[0]) == first
+    assert len(computed) == 4
 
 
 def test_noise_of_the_input_s_own_sensor_is_below_the_bound() -> None:
