@@ -13,6 +13,7 @@ from casid.estimation.simulation.instability import segments_for
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.signs_from_simulation import is_poor
+from casid.model.model import Model
 
 
 def fit_unstable(
@@ -32,24 +33,25 @@ def fit_unstable(
     if segments == 1:
         return None
     say("the model is unstable: fit the whole record once")
-    whole = _tried(problem, experiments, replace(settings, starts=1), start)
+    whole = tried(problem.model, experiments, replace(settings, starts=1), start)
     if whole is not None and not is_poor(whole):
         return None
     say(f"fit it in {segments} segments")
-    parts = _tried(problem, experiments, replace(settings, segments=segments), start)
+    parts = tried(problem.model, experiments, replace(settings, segments=segments), start)
     if parts is None or (whole is not None and whole.solution.value <= parts.solution.value):
         return None
     return parts
 
 
-def _tried(
-    problem: Problem,
+def tried(
+    model: Model,
     experiments: Sequence[Experiment],
     settings: FitSettings,
-    start: Mapping[str, float] | None,
+    start: Mapping[str, float] | None = None,
 ) -> Fit | None:
+    """The fit of a model, or None where none is found."""
     try:
-        return fit_model(problem.model, experiments, settings, start=start)
+        return fit_model(model, experiments, settings, start=start)
     except OutOfTimeError:
         raise
     except CasidError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -132,8 +133,8 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     say = settings.progress
     split, little = holding_out_measured(split, list(problem.model.outputs))
     say("fit the model as it is")
-    split, of_windows = in_windows(problem.model, split, settings.fit, say)
-    fit, negated = _with_signs_as_recorded(problem, split, settings)
+    split, of_windows, begun = in_windows(problem.model, split, settings.fit, say)
+    fit, negated = _with_signs_as_recorded(problem, split, settings, begun)
     as_recorded: Fit | None = None
     if negated is not None:
         say(f"negate {negated.channel}, which probably has the wrong sign")
@@ -205,12 +206,12 @@ def _levelled(
 
 
 def _with_signs_as_recorded(
-    problem: Problem, split: Split, settings: DiagnosisSettings
+    problem: Problem, split: Split, settings: DiagnosisSettings, start: Mapping[str, float]
 ) -> tuple[Fit | None, WrongSign | None]:
     """The fit of the records as they are, and the channel that has the wrong sign in it."""
     fit: Fit | None = None
     with suppress(SolveError, IdentifiabilityError):  # the next fit says so, or a sign is to blame
-        fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
+        fit = fit_model(problem.model, split.fitted, settings.fit, start=start, throw=False)
     if fit is not None and not is_poor(fit):
         return fit, None
     return fit, wrong_sign(problem, split.fitted, settings.fit, reported=fit, alpha=settings.alpha)

@@ -4,39 +4,46 @@ A simulation of an unstable model leaves the record whatever its parameters are,
 what is missing. Each window of the record starts in a state of its own, estimated with the
 parameters. Fits, residuals, tests and what is held out are then those of simulations over a window:
 predictions over at most its length, free of the growth that the controller took away.
+
+How fast the model grows, and so how long a window is, its parameters say: far from the truth their
+windows are so long that simulations leave the record in all of them, or so short that they show
+little. A fit in joined segments, which the record itself holds, comes first and says where to begin.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from casid.data.experiment import Experiment
-from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.holdout import Split
-from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.instability import growth_rate, window_for
+from casid.estimation.simulation.fit import FitSettings, value_at_start
+from casid.estimation.simulation.instability import growth_rate, segments_for, window_for
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.signs_from_simulation import is_poor
+from casid.identification.unstable import tried
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
 
 
 def in_windows(
     model: Model, split: Split, settings: FitSettings, say: Callable[[str], None]
-) -> tuple[Split, str]:
-    """The records in windows where the model is unstable, and a note on them.
+) -> tuple[Split, str, dict[str, float]]:
+    """The records in windows where the model is unstable, a note on them, and where to begin.
 
-    The same as given, and no note, where the model is stable, or a simulation of the whole record
-    fits all the same (a motion that leaves an unstable equilibrium once).
+    The same as given, no note and no values where the model is stable, or a simulation of the whole
+    record fits all the same (a motion that leaves an unstable equilibrium once).
     """
     criterion = SimulationError(model, split.fitted)
-    window = window_for(criterion)
-    if not window:
-        return split, ""
+    if not window_for(criterion):
+        return split, "", {}
     say("the model is unstable: fit the whole record once")
-    if _is_simulated(model, split.fitted, settings):
-        return split, ""
+    whole = tried(model, split.fitted, replace(settings, starts=1))
+    if whole is not None and not is_poor(whole):
+        return split, "", {}
+    criterion, start = _nearer(criterion, settings, say)
+    window = window_for(criterion)
     seconds = quantity_text(window * criterion.data[0].Ts, "s")
     apart = quantity_text(1 / growth_rate(criterion), "s")
     say(f"simulate it in windows of {seconds}")
@@ -45,18 +52,39 @@ def in_windows(
         return [replace(e, window=window) for e in experiments]
 
     cut = Split(windowed(split.fitted), windowed(split.whole), split.held, windowed(split.apart))
-    return cut, (
-        f"the model is unstable: at the start values a small error grows e-fold in {apart}, so a "
+    at = "the values of a fit in segments" if start else "the start values"
+    return (
+        cut,
+        f"the model is unstable: at {at} a small error grows e-fold in {apart}, so a "
         f"simulation of a whole record diverges. Each window of {seconds} is simulated from an "
-        "initial state of its own; errors and what is held out are those of such simulations"
+        "initial state of its own; errors and what is held out are those of such simulations",
+        start,
     )
 
 
-def _is_simulated(model: Model, experiments: Sequence[Experiment], settings: FitSettings) -> bool:
-    """True if a simulation of the whole records fits them."""
-    try:
-        return not is_poor(fit_model(model, experiments, replace(settings, starts=1)))
-    except OutOfTimeError:
-        raise
-    except CasidError:
-        return False
+def _nearer(
+    criterion: SimulationError, settings: FitSettings, say: Callable[[str], None]
+) -> tuple[SimulationError, dict[str, float]]:
+    """The criterion at the values of a fit in segments, and the values.
+
+    As it is, and no values, where the model is stable at those, or no segments fit the record: what
+    the model is missing may be to blame then, and the start values stay unless windows diverge.
+    """
+    model, records = criterion.model, criterion.experiments
+    segments = segments_for(criterion)
+    say(f"fit it in {segments} segments")
+    fit = tried(model, records, replace(settings, starts=1, segments=segments))
+    if fit is None:
+        return criterion, {}
+    values = {name: v for name, v in fit.values.items() if name in model.parameters}
+    there = SimulationError(model, records, start=values)
+    if not window_for(there) or (is_poor(fit) and not _diverges(criterion)):
+        return criterion, {}
+    return there, values
+
+
+def _diverges(criterion: SimulationError) -> bool:
+    """True if simulations in windows leave all numbers at the start values."""
+    window = window_for(criterion)
+    cut = [replace(e, window=window) for e in criterion.experiments]
+    return not math.isfinite(value_at_start(SimulationError(criterion.model, cut)))
