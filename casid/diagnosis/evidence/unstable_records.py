@@ -7,7 +7,7 @@ predictions over at most its length, free of the growth that the controller took
 
 How fast the model grows, and so how long a window is, its parameters say: far from the truth their
 windows are so long that simulations leave the record in all of them, or so short that they show
-little. A fit in joined segments, which the record itself holds, comes first and says where to begin.
+little. A fit in joined segments, which the record itself holds, comes first: windows begin with it.
 """
 
 from __future__ import annotations
