@@ -8,11 +8,33 @@ from types import MappingProxyType
 
 import numpy as np
 
-from casid.arrays import BoolArray
+from casid.arrays import Array, BoolArray
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.pickling import PickledByFields
 from casid.presentation import Viewed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseSizes:
+    """How large the noise of an output is at each instant, relative to its RMS size.
+
+    Attributes
+    ----------
+    t : (M,) instants of the record's clock [s].
+    relative : (M,) size there; its mean square is 1.
+    per_reading : what `relative` adds per unit of the reading (SI), where noise grows with it.
+    at_zero : `relative` where nothing is read.
+    """
+
+    t: Array
+    relative: Array
+    per_reading: float = 0.0
+    at_zero: float = 1.0
+
+    def at(self, t: Array) -> Array:
+        """(N,) the size at other instants."""
+        return np.asarray(np.interp(t, self.t, self.relative))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +56,8 @@ class Experiment(Viewed, PickledByFields):
         own; 0: the whole record from one. For unstable models, which no record is simulated with.
     filled : mapping of input to (N,) bool array
         Samples of inputs that were not recorded, but are filled in the record.
+    noise_sizes : mapping of output to NoiseSizes
+        Of outputs whose noise has another size from sample to sample. Errors count in units of it.
     """
 
     record: Record
@@ -42,6 +66,7 @@ class Experiment(Viewed, PickledByFields):
     unused: Mapping[str, str] = field(default_factory=dict)
     window: int = 0
     filled: Mapping[str, BoolArray] = field(default_factory=dict)
+    noise_sizes: Mapping[str, NoiseSizes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.record, Record):
@@ -65,6 +90,7 @@ class Experiment(Viewed, PickledByFields):
         object.__setattr__(self, "name", self.name or self.record.name)
         object.__setattr__(self, "unused", MappingProxyType(dict(self.unused)))
         object.__setattr__(self, "filled", MappingProxyType(dict(self.filled)))
+        object.__setattr__(self, "noise_sizes", MappingProxyType(dict(self.noise_sizes)))
 
     def __repr__(self) -> str:
         known = ", ".join(f"{n} = {v:g}" for n, v in self.known.items()) or "nothing known"

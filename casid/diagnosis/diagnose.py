@@ -42,6 +42,8 @@ SOURCES = (
     "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
     "J. P. Romano, M. Wolf, Econometrica 73 (2005) 1237-1282: stepwise multiple testing",
     "Q. H. Vuong, Econometrica 57 (1989) 307-333: tests between models that are not nested",
+    "R. J. Carroll, D. Ruppert, Transformation and Weighting in Regression, 1988: variance that "
+    "grows with the mean",
     "F. X. Diebold, R. S. Mariano, J. Bus. Econ. Stat. 13 (1995) 253-263: predictive accuracy",
     "L. T. Biegler, A. Waechter, Math. Program. 106 (2006) 25-57: Ipopt",
     "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",

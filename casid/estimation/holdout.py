@@ -38,6 +38,7 @@ class HeldOut:
     t: Array  # (M,)
     measured: Array  # (M, ny), NaN where not used
     simulated: Array  # (M, ny)
+    error: Array  # (M, ny), over the relative size of the noise, NaN where not used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,12 +267,16 @@ def validation(fit: Fit, split: Split) -> list[HeldOut]:
     for i, mask in enumerate(split.held):
         if mask.any():
             d, y, _ = whole_simulation(fit, split, i)
-            measured = np.where(d.used, d.y, np.nan)
-            out.append(HeldOut(split.whole[i].name, d.t[mask], measured[mask], y[mask]))
+            out.append(_held_out(split.whole[i].name, d, y, mask))
     for e in split.apart:
         d, y, _ = simulate_apart(fit, e)
-        out.append(HeldOut(e.name, d.t, np.where(d.used, d.y, np.nan), y))
+        out.append(_held_out(e.name, d, y, np.ones(d.N, dtype=bool)))
     return out
+
+
+def _held_out(name: str, d: Signals, simulated: Array, mask: Array) -> HeldOut:
+    measured, error = (np.where(d.used, a, np.nan) for a in (d.y, d.errors(simulated)))
+    return HeldOut(name, d.t[mask], measured[mask], simulated[mask], error[mask])
 
 
 def _per_window(fit: Fit, error: Array) -> Array:
@@ -308,9 +313,9 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
                 near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
                 tail = replace(e, record=_tail(e.record, first))
                 d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
-            parts.append(np.where(d.used, d.y - y, np.nan) * weights)
+            parts.append(np.where(d.used, d.errors(y), np.nan) * weights)
     rest = Split([], [], [], split.apart) if anew else split
-    parts += [(h.measured - h.simulated) * weights for h in validation(fit, rest)]
+    parts += [h.error * weights for h in validation(fit, rest)]
     if _has_windows(fit):
         parts = [_per_window(fit, error) for error in parts]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))

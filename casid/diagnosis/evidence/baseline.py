@@ -16,6 +16,7 @@ from casid.diagnosis.evidence.levels_in_gaps import with_levels_in_gaps
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.recorded_channels import channels_held_out_too, recorded_beside
 from casid.diagnosis.evidence.robust_errors import std_error
+from casid.diagnosis.evidence.sized_noise import with_noise_sizes
 from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
 from casid.diagnosis.evidence.sufficiency import (
     few_step_fit,
@@ -147,6 +148,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         say(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
         fit = _again(problem, split, settings, fit)
     split, fit, gaps = _levelled(problem, split, settings, fit)
+    split, fit, sized = _sized(problem, split, settings, fit)
     corrupted, split, fit, less = _cleaned(problem, split, settings, fit)
     fit = weighted_by_errors(fit, settings.fit)
     channels, notes = channels_held_out_too(recorded_beside(problem, split.fitted), split.apart)
@@ -171,7 +173,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         negated=negated,
         why_undecided=undecided,
         why_doubtful="" if undecided else why_doubtful(fit, start, errors),
-        notes=(*(text for text in (of_windows, less or little) if text), *notes),
+        notes=(*(text for text in (of_windows, sized, less or little) if text), *notes),
         levels=gaps,
     )
 
@@ -188,6 +190,30 @@ def _cleaned(
     settings.progress(f"leave out {corrupted.count} clipped samples or outliers and fit again")
     split, note = holding_out_measured(split, list(problem.model.outputs))
     return corrupted, split, _again(problem, split, settings, fit), note
+
+
+def _sized(
+    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
+) -> tuple[Split, Fit, str]:
+    """The records with sizes of noise that grows with the reading, their fit, and a note on it.
+
+    As given where it is not seen to grow, or no longer once the fit counts by it.
+    """
+    outputs = problem.model.outputs
+    stated = {n for e in split.fitted for n in outputs if n in problem.noise or n in e.noise_sizes}
+    found, sized, names = fit, split, ()
+    for _ in range(STEPS_IN_GAPS.passes):
+        sized, names = with_noise_sizes(found, sized, stated)
+        if not names:
+            return split, fit, ""
+        settings.progress(f"weigh {', '.join(names)} by noise that grows with the reading")
+        found = _again(problem, sized, settings, found)
+    return (
+        sized,
+        found,
+        f"the noise of {', '.join(names)} grows with the reading: each sample counts by the size "
+        "of the noise there, and RMS errors are those of samples with noise of average size",
+    )
 
 
 def _levelled(

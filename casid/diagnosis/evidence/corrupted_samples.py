@@ -50,12 +50,16 @@ class _Simulated:
     inputs: list[Array]  # (N, nu), those recorded, each from the sample on that may show it
     anew: list[Array]  # samples at which the simulation starts anew
     times: list[Array]  # (N,) [s]
+    sizes: list[Array]  # (N,) of the noise, relative
 
     @property
     def residuals(self) -> list[Array]:
         """Of the samples that there are, one after another: white noise has no other neighbours."""
         return [
-            (y - s)[u] for y, s, u in zip(self.measured, self.simulated, self.used, strict=True)
+            ((y - s) / size)[u]
+            for y, s, size, u in zip(
+                self.measured, self.simulated, self.sizes, self.used, strict=True
+            )
         ]
 
     @property
@@ -225,6 +229,7 @@ def _channel(fit: Fit, split: Split, i: int) -> _Simulated:
         [_shown(d.u[:, recorded], later) for d, _, _ in runs],
         restarts(fit, split),
         [d.t for d, _, _ in runs],
+        [np.ones(d.N) if d.sizes is None else d.sizes[:, i] for d, _, _ in runs],
     )
 
 

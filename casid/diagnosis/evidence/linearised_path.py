@@ -124,7 +124,8 @@ class Linearised:
                         criterion.simulate(self.x, k, signals=replace(d, u=d.u + s * moved))[0]
                         for s in (1.0, -1.0)
                     )
-                    columns.append(np.where(d.used, 0.5 * (down - up), 0.0)[:, :, None])
+                    moved_by = np.where(d.used, 0.5 * (down - up), 0.0)
+                    columns.append(d.in_sizes(moved_by)[:, :, None])
             self._late[k] = np.concatenate(columns, axis=2)
         return self._late[k]
 

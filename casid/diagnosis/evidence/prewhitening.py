@@ -401,7 +401,7 @@ class Weighing:
                     w[:, i] = sd[i] * rng.standard_normal(d.N)
             up = criterion.simulate(x, e, signals=replace(d, u=d.u + w))[0]
             down = criterion.simulate(x, e, signals=replace(d, u=d.u - w))[0]
-            moved = 0.5 * (up - down) * d.used * criterion.weights
+            moved = d.in_sizes(0.5 * (up - down) * d.used) * criterion.weights
             assert criterion.whiten is not None
             white = criterion.whiten(moved[:, :, None], e).ravel()
             if states:

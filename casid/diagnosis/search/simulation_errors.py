@@ -122,7 +122,7 @@ def _whole_errors(
 
 
 def _errors(d: Signals, y: Array, units: Array, noise: NoiseModel | None, experiment: int) -> Array:
-    error = np.where(d.used, d.y - y, 0.0) * units
+    error = d.errors(y) * units
     if noise is not None:
         error = noise.whiten(error[:, :, None], experiment, d.used)[:, :, 0]
     error = np.where(np.isfinite(error), error, np.inf)  # a simulation that breaks down errs

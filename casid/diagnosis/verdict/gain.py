@@ -30,6 +30,8 @@ def rmse(
 ) -> dict[str, float]:
     """Rms error by output over all records, of those that have a sample there.
 
+    Of an output whose noise grows with its reading, over the noise's relative size at each sample.
+
     Samples that `reference` clips are left out, and the first samples of its delayed or lagging
     outputs, which depend on inputs before the record.
     """
@@ -45,12 +47,12 @@ def rmse(
             counts[np.abs(best[:, i]) >= FUNCTIONS.at_limit * level, i] = False
         part = split.held[e] if held else ~split.held[e]
         counted.append(counts[part])
-        parts.append(np.where(counts, d.y - y, np.nan)[part])
+        parts.append(np.where(counts, d.errors(y), np.nan)[part])
     if held:
         for experiment in split.apart:
             d, y, _ = simulate_apart(fit, experiment)
             counted.append(d.used)
-            parts.append(np.where(d.used, d.y - y, np.nan))
+            parts.append(np.where(d.used, d.errors(y), np.nan))
     is_measured = np.any(np.concatenate(counted), axis=0).tolist()
     errors = zip(outputs, rms(np.concatenate(parts)).tolist(), is_measured, strict=True)
     return {name: error for name, error, measured in errors if measured}

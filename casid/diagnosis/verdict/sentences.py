@@ -349,9 +349,17 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
         return quantity_text(at.model.shown_size(name, sd), at.model.unit_of(name))
 
     records = range(len(at.criterion.experiments))
+    sizes = at.criterion.experiments[0].noise_sizes
+
+    def output_text(name: str, sd: float) -> str:
+        if name not in sizes or not sizes[name].per_reading:
+            return text_of(name, sd)
+        share = 100 * sd * sizes[name].per_reading
+        return f"{share:.2g} % of the reading, {text_of(name, sd * sizes[name].at_zero)} at least"
+
     left = np.sqrt(np.mean([at.full.floor(e) ** 2 for e in records], axis=0))
     out = {
-        name: f"white output noise {text_of(name, sd)}"
+        name: f"white output noise {output_text(name, sd)}"
         if sd > DESCRIPTION.noiseless * rms
         else "no white output noise found: other sources account for its error"
         for name, sd, rms in zip(

@@ -118,7 +118,9 @@ class _Draw:
         out = []
         for e, experiment in enumerate(self.criterion.experiments):
             record = experiment.record
-            y = self.clean[e].y + self._noise(self.criterion.data[e].used, rng)
+            d = self.criterion.data[e]
+            sizes = 1.0 if d.sizes is None else d.sizes
+            y = self.clean[e].y + sizes * self._noise(d.used, rng)
             for i, name in enumerate(self.criterion.outputs):
                 record = _with(record, name, y[:, i])
             for name, sd in self.input_sd.items():

@@ -224,6 +224,6 @@ def _steps_matter(c: SimulationError, x: Array, share: float) -> bool:
     with np.errstate(all="ignore"):
         for e, d in enumerate(c.data):
             a, b = c.simulate(x, e)[0], fine.simulate(x, e)[0]
-            moved += float(np.sum(((a - b) * d.used * c.weights) ** 2))
-            left += float(np.sum(((d.y - a) * d.used * c.weights) ** 2))
+            moved += float(np.sum((d.in_sizes(a - b) * d.used * c.weights) ** 2))
+            left += float(np.sum((d.errors(a) * c.weights) ** 2))
     return bool(np.isfinite(moved)) and moved > share**2 * left + 1e-16 * c.n_samples

@@ -35,11 +35,22 @@ class Signals:
     filled: Mapping[str, BoolArray] = field(default_factory=dict)  # input -> (N,) not recorded
     rounding: Mapping[str, float] = field(default_factory=dict)  # input -> sd of its rounding
     instants: Instants | None = None  # where they were taken, of a record with an irregular clock
+    sizes: Array | None = None  # (N, ny) of the noise, relative; None: all of one size
 
     @property
     def N(self) -> int:
         """Number of samples."""
         return len(self.t)
+
+    def in_sizes(self, columns: Array) -> Array:
+        """Errors (N, ny), or columns of them (N, ny, m), over the size of the noise at each."""
+        if self.sizes is None:
+            return columns
+        return np.asarray(columns / (self.sizes if columns.ndim == 2 else self.sizes[:, :, None]))
+
+    def errors(self, simulated: Array) -> Array:
+        """(N, ny) measured less simulated, `in_sizes`, zero where a sample is not used."""
+        return self.in_sizes(np.where(self.used, self.y - simulated, 0.0))
 
 
 def signals_of(model: Model, experiment: Experiment) -> Signals:
@@ -81,6 +92,17 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
             list(model.outputs),
             [name for name, entry in model.inputs.items() if entry.hold == "zoh"],
         ),
+        sizes=_sizes_of(experiment, list(model.outputs)),
+    )
+
+
+def _sizes_of(experiment: Experiment, outputs: Sequence[str]) -> Array | None:
+    """(N, ny) relative sizes of the outputs' noise, None where all samples have one."""
+    sizes, t = experiment.noise_sizes, np.asarray(experiment.record.t)
+    if not any(name in sizes for name in outputs):
+        return None
+    return np.column_stack(
+        [sizes[name].at(t) if name in sizes else np.ones(len(t)) for name in outputs]
     )
 
 

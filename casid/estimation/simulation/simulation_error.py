@@ -54,8 +54,8 @@ class Simulated:
     """Outputs, residuals and sensitivities of one experiment at one point."""
 
     y: Array  # (N, ny)
-    residual: Array  # (N, ny), zero where a sample is not used
-    jacobian: Array  # (N, ny, n), d yhat / d variables, zero where a sample is not used
+    residual: Array  # (N, ny), zero where a sample is not used, over the noise's relative size
+    jacobian: Array  # (N, ny, n), d yhat / d variables, likewise
     x: Array  # (N, nx)
 
 
@@ -414,7 +414,7 @@ class SimulationError:
         assert jac is not None
         if not d.used.all():
             jac *= d.used[:, :, None]
-        return Simulated(y, np.where(d.used, d.y - y, 0.0), jac, states)
+        return Simulated(y, d.errors(y), d.in_sizes(jac), states)
 
     def columns(
         self, x: Array, experiment: int, *, signals: Signals | None = None
@@ -457,7 +457,7 @@ class SimulationError:
         with np.errstate(all="ignore"):
             for e, d in enumerate(self.data):
                 y, _, _ = self.simulate(x, e)
-                r = (np.where(d.used, d.y - y, 0.0) * self.weights)[:, :, None]
+                r = (d.errors(y) * self.weights)[:, :, None]
                 if self.whiten is not None and np.all(np.isfinite(r)):
                     r = self.whiten(r, e)
                 value += 0.5 * float(np.sum(r**2))

@@ -21,6 +21,7 @@ _WINDOWS = "tests/diagnosis/evidence/test_unstable_records.py"
 _LOOP = "tests/estimation/test_feedback.py"
 _ROUNDING = "tests/estimation/test_rounding.py"
 _FORESEEN = "tests/estimation/simulation/test_foreseen_noise.py"
+_GROWING = "tests/estimation/test_growing_noise.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 
@@ -221,6 +222,55 @@ class Foreseen:
     kept: int = _is(100, "bounds that are kept: every model of a record has the same", _FORESEEN)
 
 
+@dataclass(frozen=True, slots=True)
+class GrowingNoise:
+    """Noise that grows in proportion to what a sensor reads."""
+
+    alpha: float = _is(
+        1e-3,
+        "level of the test, of one output: weights that follow noise of one size by chance lose a "
+        "little exactness, and no more",
+        _GROWING,
+    )
+    inner: float = _is(
+        0.1, "the same without the few samples that lie furthest off, as outliers do", _GROWING
+    )
+    few: float = _is(0.05, "share of samples that may be outliers", _GROWING)
+    samples: int = _is(
+        8, "differences from neighbours, at least: fewer do not show a size", _GROWING
+    )
+    ratio: float = _is(
+        2.0,
+        "size of the noise at large readings (90 % are smaller) over that at small ones (10 %), at "
+        "least: of half the samples each, equal weights lose (1 + r^2)^2 / (4 r^2) in variance",
+        _GROWING,
+    )
+    lowest: float = _is(
+        1e-3,
+        "of the RMS reading, the lowest level below which noise grows no more: a sensor that "
+        "resolves less has no such range",
+        _GROWING,
+    )
+    outlier: float = _is(
+        4.5,
+        "standard deviations from its neighbours at which a sample is none of noise that grows "
+        "either: one of 150 000 lies that far off by chance",
+        _GROWING,
+    )
+    most: int = _is(
+        4000, "differences that count in a likelihood: more show what is seen already", _GROWING
+    )
+    as_likely: float = _is(
+        0.5, "log-likelihood by which levels are as likely: one standard error", _GROWING
+    )
+    far: float = _is(
+        3.0,
+        "times the median of three readings, or its inverse, at most: where the simulation is "
+        "further off it errs, and the readings say how large they are",
+        _GROWING,
+    )
+
+
 RECORD_AGREEMENT = RecordAgreement()
 FIT_BUDGET = FitBudget()
 STEPS = Steps()
@@ -232,6 +282,7 @@ TANGENTS = Tangents()
 INPUT_ANSWERS = InputAnswers()
 READINGS = Readings()
 FORESEEN = Foreseen()
+GROWING_NOISE = GrowingNoise()
 
 GROUPS = (
     RECORD_AGREEMENT,
@@ -245,6 +296,7 @@ GROUPS = (
     INPUT_ANSWERS,
     READINGS,
     FORESEEN,
+    GROWING_NOISE,
 )
 
 TABLE = entries(*GROUPS)

@@ -1,0 +1,78 @@
+"""Outputs whose noise grows with what they read: every sample in units of the noise there.
+
+Taken as noise of one size, that of large readings passes for outliers and changes, and what small
+readings show of a cause, which may be nearly all, counts for nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import TINY, Array
+from casid.data.experiment import Experiment, NoiseSizes
+from casid.estimation.growing_noise import Readings, growing_level, size_of_readings
+from casid.estimation.holdout import Split, simulate_apart, whole_simulation
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.signals import Signals
+
+
+def with_noise_sizes(
+    fit: Fit, split: Split, known: Collection[str] = ()
+) -> tuple[Split, tuple[str, ...]]:
+    """The records with sizes of the noise of outputs in which it is seen to grow, and which.
+
+    The sizes follow the simulation, of what is held out as well; the test takes what is fitted.
+
+    Parameters
+    ----------
+    known : outputs of which the noise is stated, or has sizes already; they stay as they are.
+    """
+    runs = [whole_simulation(fit, split, e)[:2] for e in range(len(split.whole))]
+    apart = [simulate_apart(fit, e)[:2] for e in split.apart]
+    found: dict[str, list[NoiseSizes]] = {}
+    for i, name in enumerate(fit.criterion.outputs):
+        if name not in known:
+            fitted = [d.used[:, i] & ~held for (d, _), held in zip(runs, split.held, strict=True)]
+            sizes = _sizes_of(i, [*runs, *apart], fitted)
+            if sizes is not None:
+                found[name] = sizes
+
+    def sized(experiments: Sequence[Experiment], first: int = 0) -> list[Experiment]:
+        return [
+            replace(e, noise_sizes={**e.noise_sizes, **{n: s[k] for n, s in found.items()}})
+            for k, e in enumerate(experiments, first)
+        ]
+
+    if not found:
+        return split, ()
+    n = len(runs)
+    cut = Split(sized(split.fitted), sized(split.whole), split.held, sized(split.apart, n))
+    return cut, tuple(found)
+
+
+def _sizes_of(
+    i: int, runs: Sequence[tuple[Signals, Array]], fitted: Sequence[Array]
+) -> list[NoiseSizes] | None:
+    """Of output i in every record, or None where its noise is not seen to grow.
+
+    Parameters
+    ----------
+    fitted : (N,) samples of the first records that are there and fitted.
+    """
+    readings = []
+    for (d, y), part in zip(runs, fitted, strict=False):
+        part = part & np.isfinite(y[:, i])
+        readings.append(Readings(d.t[part], y[part, i], d.y[part, i] - y[part, i]))
+    level = growing_level(readings)
+    if level is None:
+        return None
+    every = [np.hypot(level, size_of_readings(d.y[:, i], y[:, i], d.used[:, i])) for d, y in runs]
+    counted = np.concatenate([s[part] for s, part in zip(every, fitted, strict=False)])
+    norm = max(float(np.sqrt(np.mean(counted**2))), TINY)
+    return [
+        NoiseSizes(d.t, sizes / norm, per_reading=1 / norm, at_zero=level / norm)
+        for (d, _), sizes in zip(runs, every, strict=True)
+    ]
