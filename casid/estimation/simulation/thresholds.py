@@ -21,7 +21,7 @@ _WINDOWS = "tests/diagnosis/evidence/test_unstable_records.py"
 _LOOP = "tests/estimation/test_feedback.py"
 _ROUNDING = "tests/estimation/test_rounding.py"
 _FORESEEN = "tests/estimation/simulation/test_foreseen_noise.py"
-_GROWING = "tests/estimation/test_growing_noise.py"
+_GROWING = "tests/estimation/simulation/test_growing_noise.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 

@@ -184,7 +184,7 @@ def size_of_readings(measured: Array, simulated: Array, used: BoolArray) -> Arra
     """
     size = np.abs(simulated)
     there = np.flatnonzero(used)
-    if len(there) < 3:
+    if len(there) <= 2:
         return np.where(np.isfinite(size), size, 0.0)
     read = np.abs(median_filter(measured[there], size=3, mode="nearest"))
     read = np.interp(np.arange(len(size)), there, read)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from casid.estimation.growing_noise import Readings, growing_level, size_of_readings
+from casid.estimation.simulation.growing_noise import Readings, growing_level, size_of_readings
 
 
 def decay(seed: int, M: int = 60, **noise: float) -> Readings:
