@@ -47,6 +47,7 @@ from casid.identification.disturbed import identify_disturbed
 from casid.identification.error_bars import covariance_under_colour, error_bars
 from casid.identification.reference_instruments import instrumented
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
+from casid.identification.sized_noise import fitted_in_sizes, sized_noise_text
 from casid.identification.unstable import fit_unstable
 from casid.model.model import Model
 from casid.time_limit import (
@@ -186,8 +187,10 @@ def _estimate_of_fit(
     say(f"fit {', '.join(e.name for e in split.fitted)}")
     fit, suspect = _fit(problem, split.fitted, settings, start, to)
     if fit.solution.is_converged and settings.segments == 1 == fit.criterion.segments:
-        weigh = partial(weighted_by_errors, fit, settings)
-        fit = undone.attempt("the weighing of outputs by their errors", weigh) or fit
+        by_errors = partial(weighted_by_errors, fit, settings)
+        fit = undone.attempt("the weighing of outputs by their errors", by_errors) or fit
+    weigh = partial(_sized, problem, fit, split, settings)
+    split, fit, grows = undone.attempt("the sizes of noise that grows", weigh) or (split, fit, ())
     found = _corrected(problem, fit, settings, undone)
     with no_time_limit():  # a few passes over the record, without which there is no result
         feedback = feedback_notes(found.fit, found.noisy)
@@ -199,12 +202,38 @@ def _estimate_of_fit(
         feedback = [] if found.reference else feedback
     with no_time_limit():
         notes = channel_notes(problem.model, chosen)
+        notes += [sized_noise_text(grows)] if grows else []
         estimate = _estimate(problem, found, split, [*notes, *feedback])
         trust = Trust(
             approach(problem, found, settings.segments, feedback),
             suspects=() if suspect is None else (str(suspect),),
         )
         return replace(estimate, records=record_views(found.fit, None, split), trust=trust), found
+
+
+def _sized(
+    problem: Problem, fit: Fit, split: Split, settings: FitSettings
+) -> tuple[Split, Fit, tuple[str, ...]]:
+    """The records, the fit by sizes of noise that grows with the reading, and where it does."""
+    if not fit.solution.is_converged or settings.segments > 1 or fit.criterion.segments > 1:
+        return split, fit, ()
+    once = replace(settings, starts=1, substeps=fit.criterion.substeps)
+
+    def again(records: Split, near: Fit) -> Fit:
+        """As `weighted_by_errors`, with the errors that the sizes leave."""
+        found = fit_model(
+            problem.model,
+            records.fitted,
+            once,
+            start=near.values,
+            weights=near.criterion.weights,
+            check_rank=False,
+        )
+        found = weighted_by_errors(found, once)
+        tried, agreeing = fit.starts_tried, fit.starts_agreeing
+        return replace(found, starts_tried=tried, starts_agreeing=agreeing, begun=fit.begun)
+
+    return fitted_in_sizes(fit, split, problem.noise, again)
 
 
 def _structure(

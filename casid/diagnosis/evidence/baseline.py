@@ -16,7 +16,6 @@ from casid.diagnosis.evidence.levels_in_gaps import with_levels_in_gaps
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.recorded_channels import channels_held_out_too, recorded_beside
 from casid.diagnosis.evidence.robust_errors import std_error
-from casid.diagnosis.evidence.sized_noise import with_noise_sizes
 from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
 from casid.diagnosis.evidence.sufficiency import (
     few_step_fit,
@@ -39,6 +38,7 @@ from casid.identification.signs_from_simulation import (
     quick_settings,
     wrong_sign,
 )
+from casid.identification.sized_noise import fitted_in_sizes, sized_noise_text
 from casid.model.quantities import count_text
 from casid.time_limit import require_time, until
 
@@ -199,21 +199,14 @@ def _sized(
 
     As given where it is not seen to grow, or no longer once the fit counts by it.
     """
-    outputs = problem.model.outputs
-    stated = {n for e in split.fitted for n in outputs if n in problem.noise or n in e.noise_sizes}
-    found, sized, names = fit, split, ()
-    for _ in range(STEPS_IN_GAPS.passes):
-        sized, names = with_noise_sizes(found, sized, stated)
-        if not names:
-            return split, fit, ""
-        settings.progress(f"weigh {', '.join(names)} by noise that grows with the reading")
-        found = _again(problem, sized, settings, found)
-    return (
-        sized,
-        found,
-        f"the noise of {', '.join(names)} grows with the reading: each sample counts by the size "
-        "of the noise there, and RMS errors are those of samples with noise of average size",
-    )
+
+    def again(records: Split, near: Fit) -> Fit:
+        settings.progress("weigh samples by noise that grows with the reading")
+        return _again(problem, records, settings, near)
+
+    split, fit, names = fitted_in_sizes(fit, split, problem.noise, again)
+    average = ", and RMS errors are those of samples with noise of average size"
+    return split, fit, sized_noise_text(names) + average if names else ""
 
 
 def _levelled(

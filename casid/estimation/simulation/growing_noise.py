@@ -23,9 +23,6 @@ from scipy.stats import chi2
 from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.simulation.thresholds import GROWING_NOISE
 
-_ALONG = 1.94
-"""Sum of squared autocorrelations of differences from neighbours (1, -2/3, 1/6), both sides."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
@@ -54,14 +51,11 @@ def growing_level(readings: Sequence[Readings]) -> float | None:
     parts = [_differences(r) for r in _without_outliers(readings, levels)]
     level, log_likelihood = _likeliest(parts, levels)
     few = [_differences(r) for r in _without_outliers(readings, None)]
-    ratios = (
-        (2 * (log_likelihood - _log_likelihood(parts, None)) / _ALONG, GROWING_NOISE.alpha),
-        (
-            2 * (_likeliest(few, levels)[1] - _log_likelihood(few, None)) / _ALONG,
-            GROWING_NOISE.inner,
-        ),
+    gains = (
+        (log_likelihood - _log_likelihood(parts, None), GROWING_NOISE.alpha),
+        (_likeliest(few, levels)[1] - _log_likelihood(few, None), GROWING_NOISE.inner),
     )
-    if any(ratio < chi2.isf(alpha, 1) for ratio, alpha in ratios):
+    if any(2 * gain < GROWING_NOISE.along * chi2.isf(alpha, 1) for gain, alpha in gains):
         return None
     low, high = np.quantile(np.hypot(level, sizes), [0.1, 0.9])
     if high < GROWING_NOISE.ratio * low or not _is_independent(parts, level):
@@ -132,7 +126,8 @@ def _without_outliers(readings: Sequence[Readings], levels: Array | None) -> lis
             limit = float(np.quantile(every, 1 - GROWING_NOISE.few / 2))
         for k, (r, size) in enumerate(zip(out, unit, strict=True)):
             kept = np.ones(len(r.t), dtype=bool)
-            kept[1:-1] = (size <= limit) | (size < maximum_filter1d(size, 3))
+            highest = maximum_filter1d(size, 3)
+            kept[1:-1] = (size <= limit) | (size < highest)
             out[k] = Readings(r.t[kept], r.simulated[kept], r.error[kept])
         out = [r for r in out if len(r.t) > 2]
     return out

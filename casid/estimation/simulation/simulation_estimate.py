@@ -131,8 +131,8 @@ def estimate_of(
         criterion, solution, rows, bars.assumes, bars.covariance, steep
     )
     for e, d in enumerate(criterion.data):
-        residual = criterion.simulated(fit.x, e).residual
-        error_e = np.where(d.used, residual, np.nan)
+        at = criterion.simulated(fit.x, e)
+        residual, error_e = at.residual, np.where(d.used, d.y - at.y, np.nan)
         builder.add_fits(d.name, criterion.outputs, np.where(d.used, d.y, np.nan), error_e)
         left = bars.whitened(residual * criterion.weights, e)
         for i, name in enumerate(criterion.outputs):

@@ -236,6 +236,12 @@ class GrowingNoise:
         0.1, "the same without the few samples that lie furthest off, as outliers do", _GROWING
     )
     few: float = _is(0.05, "share of samples that may be outliers", _GROWING)
+    along: float = _is(
+        1.94,
+        "squared autocorrelations of differences from neighbours of white noise, their sum: 1, "
+        "(2/3)^2 and (1/6)^2 on both sides; so many of them count as one",
+        _GROWING,
+    )
     samples: int = _is(
         8, "differences from neighbours, at least: fewer do not show a size", _GROWING
     )

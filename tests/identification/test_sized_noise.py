@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.sized_noise import with_noise_sizes
 from casid.estimation.holdout import Split, split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import signals_of
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.identification.sized_noise import with_noise_sizes
 
 
 def cleared(seed: int, *, share: float = 0.08, M: int = 60) -> casid.Record:

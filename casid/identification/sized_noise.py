@@ -6,7 +6,7 @@ readings show of a cause, which may be nearly all, counts for nothing.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +51,36 @@ def with_noise_sizes(
     n = len(runs)
     cut = Split(sized(split.fitted), sized(split.whole), split.held, sized(split.apart, n))
     return cut, tuple(found)
+
+
+def fitted_in_sizes(
+    fit: Fit, split: Split, stated: Collection[str], again: Callable[[Split, Fit], Fit]
+) -> tuple[Split, Fit, tuple[str, ...]]:
+    """The records with sizes of their noise, the fit by these, and the outputs of which it grows.
+
+    As given where noise is not seen to grow, or no longer once the fit counts by its sizes.
+
+    Parameters
+    ----------
+    stated : outputs of which the problem states the noise.
+    again : fits such records from near a fit.
+    """
+    known = {*stated, *(name for e in split.fitted for name in e.noise_sizes)}
+    sized, found, names = split, fit, ()
+    for _ in range(2):  # by the sizes of the fit as given, then by those of the fit that follows
+        sized, names = with_noise_sizes(found, sized, known)
+        if not names:
+            return split, fit, ()
+        found = again(sized, found)
+    return sized, found, names
+
+
+def sized_noise_text(names: Sequence[str]) -> str:
+    """What follows for errors of outputs whose noise grows."""
+    return (
+        f"the noise of {', '.join(names)} grows with the reading: each sample counts by the size "
+        "of the noise there"
+    )
 
 
 def _sizes_of(
