@@ -234,9 +234,11 @@ def _steps(intervals: float, rows: int, is_common: bool) -> list[int]:
     several = [n for n in usual if intervals * n <= SPARSEST * rows]
     if is_common:
         return several
-    finest = min(FINE, int(SHORT / intervals))
+    most = int(SHORT / intervals)
+    finest = min(FINE, most)
     if finest >= FINE_AT_LEAST:
-        return [finest, *several]
+        # Last, where stamps noted at random lie closer together than that clock tells apart.
+        return [finest, *several, *([most] if most > finest else [])]
     return [*several, *range(FINEST + 1, finest + 1)]
 
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 import casid
+from casid.data.reading.absent_rows import SHORT, even_clock
 from casid.errors import DataError
 
 SPAN = 40.0  # s
@@ -187,3 +188,17 @@ def test_a_fit_of_two_clocks_has_honest_error_bars():
         p = estimate.parameter(name)
         assert p.std_error < 0.01 * true
         assert abs(p.value - true) < 3.5 * p.std_error
+
+
+def test_stamps_noted_at_random_have_a_clock_that_tells_them_apart():
+    """Sixty instants at random over a day: of all intervals, exp(-1) are longer than the mean.
+
+    A step of the median interval over 20 is 1/29 of the mean: 3.4 % of the stamps are nearer on
+    average, more than a twentieth in one record of ten; of these nine tenths have one with 4000.
+    """
+    found = [
+        even_clock(np.sort(np.r_[0.0, np.random.default_rng(seed).uniform(0, 1e5, 59)]))
+        for seed in range(60)
+    ]
+    assert sum(clock is None for clock in found) <= 2
+    assert max(clock.N for clock in found if clock is not None) <= SHORT + 1
