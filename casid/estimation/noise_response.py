@@ -111,6 +111,8 @@ def noise_response(
     for name in set(measured) & set(d.filled):
         spectrum = filled_spectrum(d.filled[name], model.inputs[name].hold, omega)
         g[:, :, measured.index(name)] *= np.sqrt(spectrum)[:, None]
+    if d.sizes is not None:  # errors count in units of the noise, on average as the slopes do
+        g = g * np.mean(1 / d.sizes, axis=0)[:, None]
     return Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
 
 
