@@ -66,7 +66,8 @@ def fitted_in_sizes(
     again : fits such records from near a fit.
     """
     known = {*stated, *(name for e in split.fitted for name in e.noise_sizes)}
-    sized, found, names = split, fit, ()
+    sized, found = split, fit
+    names: tuple[str, ...] = ()
     for _ in range(2):  # by the sizes of the fit as given, then by those of the fit that follows
         sized, names = with_noise_sizes(found, sized, known)
         if not names:

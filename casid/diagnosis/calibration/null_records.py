@@ -173,8 +173,8 @@ class NullRecords:
             )
         record = recorded.record
         for i, name in enumerate(criterion.outputs):
-            sd = self.noise.outputs[name] * (1.0 if d.sizes is None else d.sizes[:, i])
-            values = y[:, i] + sd * rng.standard_normal(d.N)
+            noise = self.noise.outputs[name] * rng.standard_normal(d.N)
+            values = y[:, i] + (noise if d.sizes is None else noise * d.sizes[:, i])
             record = _with(record, name, values)
         for name, sd in self.noise.inputs.items():
             record = _with(record, name, record[name] + sd * rng.standard_normal(d.N))

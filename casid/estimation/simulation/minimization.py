@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
@@ -311,13 +312,38 @@ def _divergence(criterion: SimulationError, x: Array) -> tuple[str, str]:
         bad = ~np.all(np.isfinite(y), axis=1)
         if bad.any():
             k = int(np.argmax(bad))
-            return (
-                f"the simulation of {d.name} diverges at t = {d.t[k]:g} s (sample {k}) from the "
-                "start values",
-                f"change the start, fix a parameter, or {_SHOOTING}",
-            )
+            what = f"the simulation of {d.name} diverges at t = {d.t[k]:g} s (sample {k}) from the "
+            if names := _singular_at_zero(criterion, x, e):
+                verb = "begins" if len(names) == 1 else "begin"
+                return (
+                    f"{what}start values: {', '.join(names)} {verb} at 0, where the equations have "
+                    "no finite value",
+                    f'declare a start other than 0, as in m.state("{names[0]}", ..., start=1.0), '
+                    "or the initial value where it is known, initial=1.0",
+                )
+            return f"{what}start values", f"change the start, fix a parameter, or {_SHOOTING}"
     what = "the sensitivities are not finite at the start"
     return what, f"change the start values, or {_SHOOTING}"
+
+
+def _singular_at_zero(criterion: SimulationError, x: Array, experiment: int) -> list[str]:
+    """States that begin at zero, each of which alone makes the derivatives infinite there."""
+    e = criterion.model.explicit()
+    slopes = ca.Function("f", [e.x, e.u, e.p], [ca.densify(e.f)])
+    p, x0 = criterion.parameter_vector(x, experiment)
+    u = criterion.data[experiment].u[0]
+
+    def is_finite(states: Array) -> bool:
+        return bool(np.all(np.isfinite(slopes(states, u, p).full())))
+
+    if is_finite(x0):
+        return []
+    eye = np.eye(len(x0))
+    return [
+        n
+        for n, v, one in zip(e.states, x0.tolist(), eye, strict=True)
+        if v == 0.0 and is_finite(x0 + one)
+    ]
 
 
 _SHOOTING = "use multiple shooting (segments=...) if the model is unstable"

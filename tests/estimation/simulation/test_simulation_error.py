@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 import casid
-from casid.estimation.simulation.fit import fit_model
+from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.sensor_dynamics import delay_columns
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -495,3 +495,22 @@ def test_a_record_begins_in_what_a_late_sensor_shows_first_where_the_model_is_si
     assert criterion.start[criterion.names.index("x(0)")] == pytest.approx(gap)
     y, *_ = criterion.simulate(criterion.start, 0)
     assert y[-1, 0] == pytest.approx(gap, rel=1e-6)
+
+
+def test_a_state_that_equations_divide_by_is_named_where_it_begins_at_zero():
+    """A flow into a volume that nobody measures and that has no start: F / V is infinite."""
+    m = casid.Model("fed tank")
+    c, V = m.state("c", "kg/m^3", start=1.0), m.state("V", "m^3")
+    F = m.input("F", "m^3/s", known=True)
+    k = m.parameter("k", "1/s", start=0.1)
+    m.derivative(c, -k * c - F / V * c)
+    m.derivative(V, F)
+    m.output("c", c, "kg/m^3")
+    record = casid.Record(
+        {"F": np.full(50, 0.01), "c": np.linspace(1, 0.5, 50)},
+        {"F": "m^3/s", "c": "kg/m^3"},
+        Ts=1.0,
+    )
+    with pytest.raises(casid.SolveError, match="V begins at 0") as caught:
+        fit_model(m, [casid.Experiment(record)], FitSettings(starts=1), check_rank=False)
+    assert 'm.state("V", ..., start=1.0)' in str(caught.value)
