@@ -6,7 +6,8 @@ The one place where a numerical failure, or the end of the time limit, is caught
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.simulation.minimization import DivergenceError
-from casid.time_limit import out_of_time_text, require_time, until
+from casid.time_limit import out_of_time_text, require_time, until, wall_clock
 
 T = TypeVar("T")
 
@@ -48,6 +49,16 @@ class Attempts:
         except FAILURES as error:
             self.failed[what] = reason_of(error)
         return None
+
+    @contextmanager
+    def within(self, share: float) -> Iterator[None]:
+        """Attempts inside have to end after a share of the time that is left."""
+        ends, now = self.ends, wall_clock()
+        self.ends = now + share * max(ends - now, 0.0)
+        try:
+            yield
+        finally:
+            self.ends = ends
 
     def succeeded(self, what: str) -> None:
         """Forget the failures of something that succeeded from another start."""

@@ -1159,6 +1159,18 @@ class Budget:
     seconds: float = _is(600.0, "where none is given; a calibration comes on top", _BUDGET)
     calibration: float = _is(0.5, "of one that is given, when the calibration ends", _BUDGET)
     search: float = _is(0.7, "of it, when the search ends: the verdict needs the rest", _BUDGET)
+    refits: float = _is(
+        0.6,
+        "of the time that is left, when the refits of a round end: the best of them needs the rest "
+        "to be tested and adopted",
+        _BUDGET,
+    )
+    adoption: float = _is(
+        0.7,
+        "of the time of the search, when no further cause is sought: a disturbance in their place "
+        "is compared in the rest",
+        _BUDGET,
+    )
 
 
 SUFFICIENCY = Sufficiency()

@@ -9,6 +9,8 @@ import pytest
 
 import casid
 from casid import time_limit
+from casid.diagnosis.attempts import Attempts
+from casid.time_limit import wall_clock
 from problems import roll_decay
 
 
@@ -26,6 +28,9 @@ class Clock:
 
     def monotonic(self) -> float:
         return time.monotonic() + self.ahead
+
+    def process_time(self) -> float:
+        return time.process_time()
 
 
 def ended_at(line, record, monkeypatch, **settings):
@@ -56,6 +61,44 @@ def test_a_search_that_is_cut_off_names_nothing_and_lists_what_was_not_done(reco
     assert any("budget of time ended" in note for note in found.notes)
     written = json.loads(json.dumps(found.to_json(), allow_nan=False))
     assert written["not_done"] == list(found.not_done)
+
+
+def test_refits_leave_time_to_adopt_the_best_of_them(monkeypatch):
+    """Each attempt takes 1 s of a clock; 0.6 of 100 s are the refits', the rest is kept."""
+    clock = Clock()
+    monkeypatch.setattr(time_limit, "time", clock)
+    attempts = Attempts(ends=wall_clock() + 100 / time_limit.time_factor())
+
+    def a_second() -> bool:
+        clock.ahead += 1.0
+        return True
+
+    with attempts.within(0.6):
+        refitted = [attempts.attempt(f"refit {i}", a_second) for i in range(90)]
+    assert 58 <= sum(map(bool, refitted)) <= 61
+    assert len(attempts.not_done) == refitted.count(None)
+    assert attempts.attempt("adopt the best", a_second)
+    clock.ahead += 50.0
+    assert attempts.attempt("the next round", a_second) is None
+
+
+@pytest.mark.slow
+def test_the_leader_is_adopted_where_the_time_of_its_refits_ends(record, monkeypatch):
+    """The clock stands but for the refits: the first few take their share of the time."""
+    clock = Clock()
+    monkeypatch.setattr(time_limit, "time", clock)
+    factor = time_limit.time_factor()
+
+    def progress(text: str) -> None:
+        if text.startswith("refit 4/"):
+            clock.ahead += 0.65 * 0.7 * 0.7 * 10_000 * factor
+
+    found = casid.diagnose(
+        roll_decay.problem, record, progress=progress, budget=10_000.0, advise=False
+    )
+    assert found.verdict == "deficient"
+    assert found.causes[0].kind == "quadratic_damping"
+    assert any("budget of time ended" in note for note in found.notes)
 
 
 @pytest.mark.slow

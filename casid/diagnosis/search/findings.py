@@ -20,6 +20,7 @@ from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.search.simulation_errors import Soundness
 from casid.diagnosis.settings import DiagnosisSettings
+from casid.diagnosis.thresholds import BUDGET
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.simulation.fit import weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
@@ -141,7 +142,8 @@ def _found(
     if alone is not None:
         start = replace(start, beside=alone)
         return search, start, Adoption((), start, None)
-    found = adopt_causes(search, start, fit, baseline.split, settings.fit)
+    with search.attempts.within(BUDGET.adoption):
+        found = adopt_causes(search, start, fit, baseline.split, settings.fit)
     what = "the comparison of what was found with a random disturbance"
     compared = attempt(
         what, lambda: weighed_against_disturbances(search, found, baseline, settings)

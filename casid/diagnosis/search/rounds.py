@@ -42,7 +42,7 @@ from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.search.swinging_parts import beside_lines
 from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.settings import Progress
-from casid.diagnosis.thresholds import COMPARISON, REFITS, SHORTLIST
+from casid.diagnosis.thresholds import BUDGET, COMPARISON, REFITS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
@@ -200,10 +200,26 @@ class Search:
         self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
     ) -> list[Candidate]:
         """Refit the shortlist of what was not adopted yet; best first."""
-        found: list[Candidate] = []
         refitting, attempt = self.refitting, self.attempts.attempt
+        with self.attempts.within(BUDGET.refits):
+            found = self._refits(at, table)
+            if not found:
+                return found
+            found = placed(refitting, at, found, events_of(adopted), self.progress)
+            found = sharpened(refitting, at, found, self.progress)
+            found = beside_lines(refitting, at, found, self.progress)
+        found = sorted(on_common_samples(found), key=lambda c: -c.merit)
+        found = list({c.effect.key: c for c in reversed(found)}.values())[::-1]  # the best of each
+        ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
+        what = "the comparison of the candidates"
+        return attempt(what, lambda: ranked(refitting, at, found)) or found
+
+    def _refits(self, at: Weighted, table: ScoreTable) -> list[Candidate]:
+        """The shortlist, refitted one after the other, as far as there is time."""
+        found: list[Candidate] = []
+        refitting = self.refitting
         scores = [*shortlist(at, table), *temporary_changes(at, table)]
-        short = attempt(
+        short = self.attempts.attempt(
             "the choice of candidates on a part of the records",
             lambda: preselected(refitting, at, scores, self.progress),
         ) or [Start(s) for s in scores]
@@ -220,16 +236,14 @@ class Search:
             if candidate is not None:
                 found.append(replace(candidate, score=s))
                 best = max(best, candidate.gain)
-        if not found:
-            return found
-        found = placed(refitting, at, found, events_of(adopted), self.progress)
-        found = sharpened(refitting, at, found, self.progress)
-        found = beside_lines(refitting, at, found, self.progress)
-        found = sorted(on_common_samples(found), key=lambda c: -c.merit)
-        found = list({c.effect.key: c for c in reversed(found)}.values())[::-1]  # the best of each
-        ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
-        what = "the comparison of the candidates"
-        return attempt(what, lambda: ranked(refitting, at, found)) or found
+        return found
+
+    def leads(self, found: Sequence[Candidate], table: ScoreTable) -> bool:
+        """False where no time was left to refit an effect that promises more than all others."""
+        waiting = self.attempts.not_done.keys() - {name_of(c.effect) for c in found}
+        promises = (s.unrobust for s in table.tested if name_of(s.effect) in waiting)
+        promised = max(promises, default=0.0)
+        return max(c.gain for c in found) >= promised
 
 
 def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:

@@ -148,6 +148,8 @@ class _Selection:
             return []
         if not search.first_candidates:
             search.first_candidates = found
+        if not search.leads(found, table):
+            return []
         # The first alarm has the rate that the user set, and is named unless the errors speak
         # against it; a further cause has to earn its place there.
         is_alarm = is_scored and not (self.adopted or at.noise_absorbs_misfit)
