@@ -14,17 +14,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from casid.data.experiment import Experiment
+from casid.diagnosis.thresholds import BUDGET
+from casid.errors import OutOfTimeError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, value_at_start
 from casid.estimation.simulation.instability import growth_rate, segments_for, window_for
+from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.signs_from_simulation import is_poor
 from casid.identification.unstable import tried
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
+from casid.time_limit import seconds_left, until, wall_clock
 
 
 def in_windows(
@@ -67,13 +72,16 @@ def _nearer(
 ) -> tuple[SimulationError, dict[str, float]]:
     """The criterion at the values of a fit in segments, and the values.
 
-    As it is, and no values, where the model is stable at those, or no segments fit the record: what
-    the model is missing may be to blame then, and the start values stay unless windows diverge.
+    As it is, and no values, where the model is stable at those, or no segments fit the record in
+    their share of the time: what the model is missing may be to blame then, and the start values
+    stay unless windows diverge.
     """
     model, records = criterion.model, criterion.experiments
     segments = segments_for(criterion)
     say(f"fit it in {segments} segments")
-    fit = tried(model, records, replace(settings, starts=1, segments=segments))
+    fit: Fit | None = None
+    with suppress(OutOfTimeError), until(wall_clock() + BUDGET.segments * seconds_left()):
+        fit = tried(model, records, replace(settings, starts=1, segments=segments))
     if fit is None:
         return criterion, {}
     values = {name: v for name, v in fit.values.items() if name in model.parameters}
