@@ -352,7 +352,10 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize(("jobs", "sign"), [(1, "SIGINT"), (2, "SIGINT"), (2, "SIGKILL")])
+@pytest.mark.parametrize(
+    ("jobs", "sign"),
+    [(1, "SIGINT"), pytest.param(2, "SIGINT", marks=pytest.mark.slow), (2, "SIGKILL")],
+)
 def test_what_was_finished_when_a_process_is_stopped_is_kept(
     tmp_path: Path, jobs: int, sign: str
 ) -> None:

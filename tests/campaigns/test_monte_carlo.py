@@ -202,6 +202,7 @@ def test_a_wrong_known_value_biases_as_the_static_gain_says(tank: Problem) -> No
     assert any("biased" in remark for remark in result["a"].remarks)
 
 
+@pytest.mark.slow
 def test_processes_load_the_problem_and_find_the_same(tank: Problem, tmp_path: Path) -> None:
     """The known values, the settings and the duration go with it."""
     known = tank.with_known({"b": 1.25})

@@ -57,6 +57,7 @@ def test_what_the_cart_is_made_to_do_gives_what_the_indirect_model_can_learn(
     assert found == pytest.approx(wanted, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_sensor_shows_what_the_direct_model_makes_of_the_input(
     designed: casid.DesignedExperiment,
 ) -> None:

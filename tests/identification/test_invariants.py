@@ -209,6 +209,7 @@ def test_the_refusal_of_identify_names_the_way_out():
         casid.identify(spring(), sprung(0))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_held_is_refused_with_the_mend(ratios):
     """M = 9.9 kg would take b = 7.4, above its bound of 5."""
 

@@ -91,7 +91,7 @@ def probed(page: str) -> str:
 
 
 @in_browser
-@pytest.mark.parametrize("name", ["rich", "hostile"])
+@pytest.mark.parametrize("name", ["rich", pytest.param("hostile", marks=pytest.mark.slow)])
 def test_a_browser_draws_every_figure_without_a_complaint(name, request, tmp_path):
     path = tmp_path / "page.html"
     page = request.getfixturevalue(name)
@@ -190,7 +190,9 @@ def test_the_buttons_of_a_figure_are_large_enough_to_hit(rich, tmp_path):
 
 
 @in_browser
-@pytest.mark.parametrize("name", ["rich", "hostile", "others"])
+@pytest.mark.parametrize(
+    "name", ["rich", *(pytest.param(n, marks=pytest.mark.slow) for n in ("hostile", "others"))]
+)
 def test_nothing_makes_the_page_scroll_sideways(name, request, tmp_path):
     """On a screen and on a phone: headless windows are no narrower than 500 px, frames are."""
     pages = other_pages() if name == "others" else [request.getfixturevalue(name)]

@@ -200,6 +200,7 @@ def test_a_second_calibration_at_another_height_brings_every_start_to_the_truth(
     assert found.relative_error().max() < 1e-6
 
 
+@pytest.mark.slow
 def test_runs_are_the_same_in_any_number_of_processes(ends):
     assert len(ends.x) == 12
     few = run(study.THE_NINE, 12, jobs=2)

@@ -216,6 +216,7 @@ def test_all_solvers_say_that_constraints_contradict():
     assert comparison.to_json()["reference"] is None
 
 
+@pytest.mark.slow
 def test_a_criterion_of_moments_hides_small_steps_from_solvers_that_compare_values():
     """theta' gram theta - 2 cross' theta + power cancels six digits where the noise is 1e-3.
 
