@@ -376,8 +376,30 @@ def _measured(signals: Signals, record: Record, outputs: Sequence[str]) -> Array
     """(N, ny) readings, those that do not count as they were recorded; NaN where there is none."""
     if record.N != signals.N or any(name not in record.names for name in outputs):
         return np.where(signals.used, signals.y, np.nan)
-    recorded = np.column_stack([record[name] for name in outputs])
-    return np.where(signals.used, signals.y, recorded)
+    return np.column_stack(
+        [
+            np.where(used, y, _as_recorded(record, name))
+            for name, used, y in zip(outputs, signals.used.T, signals.y.T, strict=True)
+        ]
+    )
+
+
+def _as_recorded(record: Record, name: str) -> Array:
+    """(N,) readings; NaN in gaps, in which straight lines stand for them.
+
+    A plateau of equal readings is no such line, unless it holds the first or the last one.
+    """
+    values, gone = record[name], record.is_missing(name)
+    if not gone.any() or gone.all():
+        return values
+    around = np.pad(values, 1, mode="edge")
+    bend = np.abs(around[:-2] - 2 * values + around[2:])
+    slopes = (values != around[:-2]) & (values != around[2:])
+    is_line = gone & slopes & (bend <= 1e-9 * np.ptp(values))
+    first, last = np.flatnonzero(~gone)[[0, -1]]
+    is_line[:first] = values[:first] == values[first]
+    is_line[last + 1 :] = values[last + 1 :] == values[last]
+    return np.where(is_line, np.nan, values)
 
 
 def record_views(base: Fit, extended: Fit | None, split: Split) -> tuple[RecordView, ...]:

@@ -11,6 +11,7 @@ from scipy.signal import cont2discrete
 
 import casid
 from casid.estimation.holdout import (
+    _as_recorded,
     held_out_error,
     holding_out_measured,
     record_views,
@@ -192,3 +193,19 @@ def test_a_reading_that_is_missing_is_shown_nowhere_and_one_that_was_marked_wher
     assert not view.used[[100, 200], 0].any()
     assert np.isnan(view.measured[100, 0])
     assert view.measured[200, 0] == y[200]
+
+
+def test_a_reading_that_does_not_count_is_shown_and_a_gap_is_not():
+    """Of a thinned record straight lines stand in the gaps; an outlier keeps what was read."""
+    values = np.arange(12.0) ** 2
+    gone = np.ones(12, dtype=bool)
+    gone[::3] = False
+    record = casid.Record({"y": values}, {"y": "1"}, 1.0, missing={"y": gone})
+    filled = dataclasses.replace(record, channels={"y": record.filled("y")})
+    outlier = np.arange(12) == 6
+    shown = _as_recorded(filled.mark_missing("y", outlier), "y")
+    assert shown[6] == 36.0
+    assert np.flatnonzero(np.isfinite(shown)).tolist() == [0, 3, 6, 9]
+    stuck = casid.Record({"y": np.r_[0.0, 3.0, 5.0, 5.0, 5.0, 4.0]}, {"y": "1"}, 1.0)
+    plateau = stuck.mark_missing("y", np.array([0, 0, 1, 1, 1, 0], dtype=bool))
+    assert np.isfinite(_as_recorded(plateau, "y")).all()
