@@ -56,6 +56,8 @@ class Experiment(Viewed, PickledByFields):
         own; 0: the whole record from one. For unstable models, which no record is simulated with.
     filled : mapping of input to (N,) bool array
         Samples of inputs that were not recorded, but are filled in the record.
+    joined : mapping of output to (N,) bool array
+        Samples of the record's outputs where straight lines stand in the place of readings.
     noise_sizes : mapping of output to NoiseSizes
         Of outputs whose noise has another size from sample to sample. Errors count in units of it.
     """
@@ -66,6 +68,7 @@ class Experiment(Viewed, PickledByFields):
     unused: Mapping[str, str] = field(default_factory=dict)
     window: int = 0
     filled: Mapping[str, BoolArray] = field(default_factory=dict)
+    joined: Mapping[str, BoolArray] = field(default_factory=dict)
     noise_sizes: Mapping[str, NoiseSizes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -90,6 +93,7 @@ class Experiment(Viewed, PickledByFields):
         object.__setattr__(self, "name", self.name or self.record.name)
         object.__setattr__(self, "unused", MappingProxyType(dict(self.unused)))
         object.__setattr__(self, "filled", MappingProxyType(dict(self.filled)))
+        object.__setattr__(self, "joined", MappingProxyType(dict(self.joined)))
         object.__setattr__(self, "noise_sizes", MappingProxyType(dict(self.noise_sizes)))
 
     def __repr__(self) -> str:

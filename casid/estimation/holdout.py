@@ -372,34 +372,13 @@ def why_worse(before: Array, after: Array) -> str:
     return ""
 
 
-def _measured(signals: Signals, record: Record, outputs: Sequence[str]) -> Array:
+def _measured(signals: Signals, experiment: Experiment, outputs: Sequence[str]) -> Array:
     """(N, ny) readings, those that do not count as they were recorded; NaN where there is none."""
+    record, joined = experiment.record, experiment.joined
     if record.N != signals.N or any(name not in record.names for name in outputs):
         return np.where(signals.used, signals.y, np.nan)
-    return np.column_stack(
-        [
-            np.where(used, y, _as_recorded(record, name))
-            for name, used, y in zip(outputs, signals.used.T, signals.y.T, strict=True)
-        ]
-    )
-
-
-def _as_recorded(record: Record, name: str) -> Array:
-    """(N,) readings; NaN in gaps, in which straight lines stand for them.
-
-    A plateau of equal readings is no such line, unless it holds the first or the last one.
-    """
-    values, gone = record[name], record.is_missing(name)
-    if not gone.any() or gone.all():
-        return values
-    around = np.pad(values, 1, mode="edge")
-    bend = np.abs(around[:-2] - 2 * values + around[2:])
-    slopes = (values != around[:-2]) & (values != around[2:])
-    is_line = gone & slopes & (bend <= 1e-9 * np.ptp(values))
-    first, last = np.flatnonzero(~gone)[[0, -1]]
-    is_line[:first] = values[:first] == values[first]
-    is_line[last + 1 :] = values[last + 1 :] == values[last]
-    return np.where(is_line, np.nan, values)
+    recorded = [np.where(joined.get(n, False), np.nan, record[n]) for n in outputs]
+    return np.where(signals.used, signals.y, np.column_stack(recorded))
 
 
 def record_views(base: Fit, extended: Fit | None, split: Split) -> tuple[RecordView, ...]:
@@ -425,7 +404,7 @@ def record_views(base: Fit, extended: Fit | None, split: Split) -> tuple[RecordV
                 t=d.t,
                 outputs=base.criterion.outputs,
                 output_units=tuple(unit for _, unit in model.outputs.values()),
-                measured=_measured(d, experiment.record, base.criterion.outputs),
+                measured=_measured(d, experiment, base.criterion.outputs),
                 used=d.used,
                 fitted=np.zeros(d.N, dtype=bool) if apart else ~split.held[e],
                 baseline=y,

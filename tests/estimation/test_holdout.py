@@ -11,7 +11,7 @@ from scipy.signal import cont2discrete
 
 import casid
 from casid.estimation.holdout import (
-    _as_recorded,
+    _measured,
     held_out_error,
     holding_out_measured,
     record_views,
@@ -19,6 +19,8 @@ from casid.estimation.holdout import (
     why_no_better,
 )
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.input_gaps import with_gaps_treated
+from casid.estimation.simulation.signals import signals_of
 from casid.model.effects.parameter_effects import parameter_jump
 from tests.support.fitted_models import driven_mass
 
@@ -195,17 +197,22 @@ def test_a_reading_that_is_missing_is_shown_nowhere_and_one_that_was_marked_wher
     assert view.measured[200, 0] == y[200]
 
 
+def shown(values: np.ndarray, gone: np.ndarray, marked: np.ndarray) -> np.ndarray:
+    """What a figure has of readings that lack some, of which others are marked afterwards."""
+    model, units = problem().model, {"force": "N", "position": "m"}
+    columns = {"force": np.ones(len(values)), "position": values}
+    record = casid.Record(columns, units, TS, missing={"position": gone})
+    (e,) = with_gaps_treated(model, [casid.Experiment(record)])
+    e = dataclasses.replace(e, record=e.record.mark_missing("position", marked))
+    return _measured(signals_of(model, e), e, ["position"])[:, 0]
+
+
 def test_a_reading_that_does_not_count_is_shown_and_a_gap_is_not():
     """Of a thinned record straight lines stand in the gaps; an outlier keeps what was read."""
-    values = np.arange(12.0) ** 2
-    gone = np.ones(12, dtype=bool)
-    gone[::3] = False
-    record = casid.Record({"y": values}, {"y": "1"}, 1.0, missing={"y": gone})
-    filled = dataclasses.replace(record, channels={"y": record.filled("y")})
-    outlier = np.arange(12) == 6
-    shown = _as_recorded(filled.mark_missing("y", outlier), "y")
-    assert shown[6] == 36.0
-    assert np.flatnonzero(np.isfinite(shown)).tolist() == [0, 3, 6, 9]
-    stuck = casid.Record({"y": np.r_[0.0, 3.0, 5.0, 5.0, 5.0, 4.0]}, {"y": "1"}, 1.0)
-    plateau = stuck.mark_missing("y", np.array([0, 0, 1, 1, 1, 0], dtype=bool))
-    assert np.isfinite(_as_recorded(plateau, "y")).all()
+    k = np.arange(12)
+    thinned = shown(k**2.0, k % 3 != 0, k == 6)
+    assert thinned[6] == 36.0
+    assert np.flatnonzero(np.isfinite(thinned)).tolist() == [0, 3, 6, 9]
+    stuck = np.array([0.0, 3.0, 5.0, 5.0, 5.0, 4.0])
+    plateau = shown(stuck, np.zeros(6, dtype=bool), np.isin(np.arange(6), [2, 3, 4]))
+    assert np.isfinite(plateau).all()

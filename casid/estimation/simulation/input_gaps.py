@@ -169,15 +169,13 @@ def with_gaps_treated(
     DataError
         If a record has no stretch that is long enough.
     """
-    parts = [part for e in experiments for part in _parts(model, e)]
-    return [
-        replace(
-            e,
-            record=_complete(model, e.record, beside),
-            filled={n: e.record.missing[n] for n in doubtful_inputs(model, e.record)} or e.filled,
-        )
-        for e in parts
-    ]
+    out = []
+    for e in (part for each in experiments for part in _parts(model, each)):
+        record = _complete(model, e.record, beside)
+        filled = {n: e.record.missing[n] for n in doubtful_inputs(model, e.record)} or e.filled
+        joined = {n: mask for n, mask in record.missing.items() if n in model.outputs}
+        out.append(replace(e, record=record, filled=filled, joined=joined))
+    return out
 
 
 def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
