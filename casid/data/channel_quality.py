@@ -217,15 +217,15 @@ def _quantised(name: str, shown: str, kept: FloatArray, step: float, noise: floa
     rounding = float(difference_from_si(step / np.sqrt(12), shown))
     steps = f"steps of {float(difference_from_si(step, shown)):.4g}{_behind(shown)}"
     many = f"{round(span / step)} of them in the range."
-    remedy = f"ount with noise of {rounding:.3g}{_behind(shown)} (step/sqrt 12), or log finer."
+    count = f"with noise of {rounding:.3g}{_behind(shown)} (step/sqrt 12), or log finer."
     if levels > FEW_LEVELS:
         text = f"coarsely quantised: {steps}, {many}"
-        return [Finding("warning", name, text, f"C{remedy}")] if step >= noise else []
+        return [Finding("warning", name, text, f"Count {count}")] if step >= noise else []
     moves = np.abs(np.round(np.diff(kept) / step))
     moves = moves[moves > 0]
     if levels < 4 or moves.size < 2 * levels or np.mean(moves == 1) < 0.9:
         return []
-    remedy = f"Right for a command; of a sensor c{remedy}"
+    remedy = f"Right for a command; of a sensor count {count}"
     return [Finding("note", name, f"moves by single {steps}, {many}", remedy)]
 
 

@@ -117,7 +117,7 @@ def _complete(
         if d.used.mean() < FILLED_FROM:
             return None
         at = criterion.simulated(x, e)
-        drawn = noise.filled(at.residual, e, rng) * (1.0 if d.sizes is None else d.sizes)
+        drawn = noise.filled(at.residual, e, rng) * d.relative_sizes
         y = np.where(d.used, d.y, at.y + drawn)
         out.append(replace(d, y=y, used=np.ones_like(d.used)))
     return out

@@ -166,32 +166,11 @@ class Unknowns:
         )
 
 
-class LastOf(Generic[T]):
-    """What was computed last for each experiment.
-
-    Solver, scores and reports evaluate a criterion at the same point, one after the other.
-    """
-
-    def __init__(self) -> None:
-        self._kept: dict[int, tuple[bytes, T]] = {}
-
-    def __call__(self, x: Array, experiment: int, compute: Callable[[Array, int], T]) -> T:
-        """What `compute(x, experiment)` gives, without computing it anew at an unchanged point."""
-        key = np.asarray(x, dtype=float).tobytes()
-        kept = self._kept.get(experiment)
-        if kept is None or kept[0] != key:
-            kept = self._kept[experiment] = (key, compute(x, experiment))
-        return kept[1]
-
-    def clear(self) -> None:
-        """Forget every point."""
-        self._kept.clear()
-
-
 class LastPoints(Generic[T]):
-    """What was computed at the last three points: a search ends where it was, or where it began."""
+    """What was computed at the last points: a search ends where it was, or where it began."""
 
-    def __init__(self) -> None:
+    def __init__(self, count: int = 3) -> None:
+        self._count = count
         self._kept: list[tuple[tuple[object, ...], T]] = []
 
     def __call__(self, given: Sequence[object], compute: Callable[[], T]) -> T:
@@ -201,5 +180,24 @@ class LastPoints(Generic[T]):
             if known == key:
                 return found
         found = compute()
-        self._kept = [(key, found), *self._kept[:2]]
+        self._kept = [(key, found), *self._kept[: self._count - 1]]
         return found
+
+
+class LastOf(Generic[T]):
+    """What was computed last for each experiment.
+
+    Solver, scores and reports evaluate a criterion at the same point, one after the other.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[int, LastPoints[T]] = {}
+
+    def __call__(self, x: Array, experiment: int, compute: Callable[[Array, int], T]) -> T:
+        """What `compute(x, experiment)` gives, without computing it anew at an unchanged point."""
+        last = self._kept.setdefault(experiment, LastPoints(1))
+        return last((np.asarray(x, dtype=float),), lambda: compute(x, experiment))
+
+    def clear(self) -> None:
+        """Forget every point."""
+        self._kept.clear()

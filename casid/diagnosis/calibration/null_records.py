@@ -174,7 +174,7 @@ class NullRecords:
         record = recorded.record
         for i, name in enumerate(criterion.outputs):
             noise = self.noise.outputs[name] * rng.standard_normal(d.N)
-            values = y[:, i] + (noise if d.sizes is None else noise * d.sizes[:, i])
+            values = y[:, i] + noise * d.relative_sizes[:, i]
             record = _with(record, name, values)
         for name, sd in self.noise.inputs.items():
             record = _with(record, name, record[name] + sd * rng.standard_normal(d.N))

@@ -229,7 +229,7 @@ def _channel(fit: Fit, split: Split, i: int) -> _Simulated:
         [_shown(d.u[:, recorded], later) for d, _, _ in runs],
         restarts(fit, split),
         [d.t for d, _, _ in runs],
-        [np.ones(d.N) if d.sizes is None else d.sizes[:, i] for d, _, _ in runs],
+        [d.relative_sizes[:, i] for d, _, _ in runs],
     )
 
 

@@ -119,8 +119,7 @@ class _Draw:
         for e, experiment in enumerate(self.criterion.experiments):
             record = experiment.record
             d = self.criterion.data[e]
-            sizes = 1.0 if d.sizes is None else d.sizes
-            y = self.clean[e].y + sizes * self._noise(d.used, rng)
+            y = self.clean[e].y + d.relative_sizes * self._noise(d.used, rng)
             for i, name in enumerate(self.criterion.outputs):
                 record = _with(record, name, y[:, i])
             for name, sd in self.input_sd.items():

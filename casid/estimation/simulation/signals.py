@@ -42,6 +42,11 @@ class Signals:
         """Number of samples."""
         return len(self.t)
 
+    @property
+    def relative_sizes(self) -> Array:
+        """(N, ny) of the noise at each sample, over its RMS size."""
+        return np.ones(self.y.shape) if self.sizes is None else self.sizes
+
     def in_sizes(self, columns: Array) -> Array:
         """Errors (N, ny), or columns of them (N, ny, m), over the size of the noise at each."""
         if self.sizes is None:
