@@ -164,18 +164,29 @@ class _Likelihood:
         return np.concatenate([np.clip(z[:n], self.lower, self.upper), z[n:]])
 
     def step(self, z: Array, at: _At, damping: float) -> Array:
-        """Of scoring; variables at a bound that it would cross stay there."""
+        """Of scoring; variables at a bound that it would cross stay there.
+
+        A variance of next to nothing hardly counts, and its logarithm would go far: it goes no
+        farther than `LONGEST`, and all others where they are likeliest beside it.
+        """
         n = len(self.lower)
         free = np.ones(len(z), bool)
         free[:n] &= ~((z[:n] <= self.lower) & (at.gradient[:n] > 0))
         free[:n] &= ~((z[:n] >= self.upper) & (at.gradient[:n] < 0))
-        size = np.sqrt(np.maximum(np.diag(at.information), TINY))[free]
-        scaled = at.information[np.ix_(free, free)] / np.outer(size, size)
-        scaled += damping * np.eye(len(size))
+        size = np.sqrt(np.maximum(np.diag(at.information), TINY))
+        matrix = at.information / np.outer(size, size) + damping * np.eye(len(z))
+        slope = at.gradient / size
         found = np.zeros(len(z))
-        found[free] = -np.linalg.lstsq(scaled, at.gradient[free] / size, rcond=1e-12)[0] / size
-        longest = float(np.max(np.abs(found[n:]), initial=0.0))
-        return found * min(1.0, LONGEST / max(longest, TINY))
+        while free.any():
+            there = slope[free] + matrix[np.ix_(free, ~free)] @ (found * size)[~free]
+            step = np.linalg.lstsq(matrix[np.ix_(free, free)], there, rcond=1e-12)[0]
+            found[free] = -step / size[free]
+            far = np.flatnonzero(free[n:] & (np.abs(found[n:]) > LONGEST)) + n
+            if not len(far):
+                break
+            found[far] = LONGEST * np.sign(found[far])
+            free[far] = False
+        return found
 
     def at(self, z: Array) -> _At:
         """Value, gradient and information at a point."""

@@ -11,7 +11,7 @@ from scipy.signal import lfilter, lsim
 import casid
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood, use_samples_of
-from casid.estimation.disturbance_likelihood import _Likelihood, errors, likeliest
+from casid.estimation.disturbance_likelihood import LONGEST, _At, _Likelihood, errors, likeliest
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 TS, N, PARTS = 0.5, 600, 10
@@ -85,6 +85,23 @@ def test_a_point_at_which_the_spectrum_is_singular_is_no_point_of_it() -> None:
     assert np.isfinite(search.at(z).value)
     z[len(fit.x) :] = -1e4  # logarithms of variances that are zero then
     assert search.at(z).value == np.inf
+
+
+def test_a_variance_of_next_to_nothing_holds_nothing_else_back() -> None:
+    """The information on its logarithm is all but zero, and its own step would be long.
+
+    The others, here of information 1 each, go where they are likeliest by themselves.
+    """
+    _, _, fit, at = weighed(1, 3e-3)
+    search = _Likelihood(fit.criterion, at.full, {}, [None])
+    z = np.concatenate([fit.x, search.start])
+    wanted = np.full(len(z), 1e-4)
+    wanted[len(fit.x)] = 1e5  # times LONGEST
+    information = np.eye(len(z))
+    information[len(fit.x), len(fit.x)] = 1e-9
+    step = search.step(z, _At(0.0, -information @ wanted, information), 0.0)
+    wanted[len(fit.x)] = LONGEST
+    assert step == pytest.approx(wanted, rel=1e-9)
 
 
 def estimated(seeds: range, height: float) -> tuple[Array, Array]:
