@@ -85,6 +85,7 @@ NAMES: dict[str, Name] = {
     "nmi": Name(1852.0, (("m", 1),), "nautical_mile"),
     "L": Name(1e-3, (("m", 3),), "liter"),
     "mL": Name(1e-6, (("m", 3),), "milliliter"),
+    "ha": Name(1e4, (("m", 2),), "hectare"),
     # speed, acceleration
     "kn": Name(_KNOT, (("m", 1), ("s", -1)), "knot"),
     "km/h": Name(1 / 3.6, (("m", 1), ("s", -1)), "kilometer / hour"),
@@ -164,12 +165,17 @@ NAMES: dict[str, Name] = {
     "%": Name(1e-2, (), "percent"),
     "permille": Name(1e-3, (), "permille"),
     "ppm": Name(1e-6, (), "ppm"),
+    # international units of a substance, as of insulin: an amount that only an assay compares
+    "IU": Name(1.0, (), "dimensionless"),
+    "mIU": Name(1e-3, (), "permille"),
+    "uIU": Name(1e-6, (), "ppm"),
 }
 _PREFIXES = {  # factor, word
     "p": (1e-12, "pico"),
     "n": (1e-9, "nano"),
     "u": (1e-6, "micro"),
     "m": (1e-3, "milli"),
+    "c": (1e-2, "centi"),
     "d": (1e-1, "deci"),
     "h": (1e2, "hecto"),
     "k": (1e3, "kilo"),
@@ -182,7 +188,7 @@ _PREFIXED = (
     ("m", "m", "d"),
     ("s", "s", "n"),
     ("A", "A", "n"),
-    ("mol", "mol", "numk"),
+    ("mol", "mol", "pnumk"),
     ("Hz", "Hz", "mG"),
     ("N", "N", "u"),
     ("J", "J", "umG"),
@@ -198,8 +204,8 @@ _PREFIXED = (
     ("Wb", "Wb", "um"),
     ("VA", "VA", "kM"),
     ("var", "var", "kM"),
-    ("g", "gram", "u"),
-    ("L", "L", "udh"),
+    ("g", "gram", "pnu"),
+    ("L", "L", "udch"),
 )
 NAMES |= {
     letter + symbol: Name(
@@ -268,6 +274,9 @@ ALIASES: dict[str, str] = {
     "liter": "L",
     "litre": "L",
     "ml": "mL",
+    "cl": "cL",
+    "dl": "dL",
+    "hl": "hL",
     "lpm": "L/min",
     "knot": "kn",
     "knots": "kn",
@@ -363,6 +372,11 @@ AMBIGUOUS: dict[str, str] = {
     "F": "degF (degree Fahrenheit) or farad",
     "mS": "ms (millisecond) or millisiemens",
     "mT": "t (metric tonne) or millitesla",
+    "U": "IU (international unit, as of insulin) or umol/min (activity of an enzyme)",
+    "mU": "mIU (of international units, as of insulin) or nmol/min (activity of an enzyme)",
+    "uU": "uIU (of international units, as of insulin) or pmol/min (activity of an enzyme)",
+    "µU": "uIU (of international units, as of insulin) or pmol/min (activity of an enzyme)",
+    "μU": "uIU (of international units, as of insulin) or pmol/min (activity of an enzyme)",
     "gal": "US gallon (3.785411784 L) or imperial gallon (4.54609 L)",
     "dB": "nothing linear: decibels are logarithms; write the ratio itself, with unit 1",
     "lb": "lbm (mass) or lbf (force)",

@@ -98,13 +98,23 @@ def test_kilonewton_and_knot_are_told_apart_by_case():
     ("text", "choices"),
     [("KN", ("kN", "kn")), ("nm", ("nmi", "N m", "nanometre")), ("g", ("gram", "g0")),
      ("M", ("metre",)), ("T", ("tonne", "s (time)")), ("m/g", ("gram", "g0")),
-     ("ton", ("1000 kg", "907")), ("kg m/S", ("second",))],
+     ("ton", ("1000 kg", "907")), ("kg m/S", ("second",)),
+     ("mU/l", ("mIU", "nmol/min", "'mIU/l'")), ("µU/ml", ("uIU", "pmol/min", "'uIU/ml'"))],
 )  # fmt: skip
 def test_a_name_with_two_readings_is_refused_with_the_choice_named(text, choices):
     with pytest.raises(UnitError, match="ambiguous") as caught:
         parse_unit(text)
     assert all(choice in str(caught.value) for choice in choices)
     assert "Write which" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "factor"),
+    [("mg/dl", 1e-2), ("ng/ml", 1e-6), ("pg/mL", 1e-9), ("ug/dl", 1e-5), ("cl", 1e-5), ("hl", 0.1),
+     ("pmol/l", 1e-9), ("ha", 1e4)],
+)  # fmt: skip
+def test_units_of_laboratories_and_catchments_are_read(text, factor):
+    assert to_si(1.0, text) == pytest.approx(factor, rel=1e-12)
 
 
 @pytest.mark.parametrize(("text", "si"), [("g/g", "1"), ("g/(g h)", "1/h"), ("T/T", "1")])
@@ -118,7 +128,7 @@ def test_a_name_with_two_readings_that_cancels_is_the_same_by_either(text, si):
 @pytest.mark.parametrize(
     ("text", "factor", "si"),
     [("nanometre", 1e-9, "m"), ("nanometers", 1e-9, "m"), ("millisiemens", 1e-3, "siemens"),
-     ("millitesla", 1e-3, "tesla"), ("nanometre/s", 1e-9, "m/s")],
+     ("millitesla", 1e-3, "tesla"), ("nanometre/s", 1e-9, "m/s"), ("mIU/l", 1.0, "1/m^3")],
 )  # fmt: skip
 def test_the_readings_of_a_name_that_is_refused_are_names_of_the_list(text, factor, si):
     assert to_si(1.0, text) == pytest.approx(factor)
