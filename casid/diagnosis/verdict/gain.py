@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -104,15 +105,21 @@ def chance_over_floor(
     at : with the noise.
     """
     outputs = fit.criterion.outputs
-    fitted = sum(int((~m).sum()) for m in split.held)
-    held = _samples_held_out(split)
-    if not held:
+    of_noise = chance_by_noise(fit, at, split)
+    if not of_noise:
         return {}
-    free = [2 / np.maximum(at.full.spread(0, n) ** 2, TINY) for n in (held, fitted)]
-    of_noise = f_distribution.isf(RESIDUAL.held_out_chance, *free)
     of_estimates = chance_by_estimates(fit, covariance, split, floor)
-    size = np.sqrt(of_noise + np.array([of_estimates[o] for o in outputs]))
-    return dict(zip(outputs, size.tolist(), strict=True))
+    return {o: math.sqrt(of_noise[o] + of_estimates[o]) for o in outputs}
+
+
+def chance_by_noise(fit: Fit, at: Weighted, split: Split) -> dict[str, float]:
+    """The part of the square of `chance_over_floor` that is due to noise; empty without samples."""
+    held, fitted = (_counts(fit, split, held=held) for held in (True, False))
+    if not held.readings.any():
+        return {}
+    free = [2 / np.maximum(_spread(at, part) ** 2, TINY) for part in (held, fitted)]
+    size = f_distribution.isf(RESIDUAL.held_out_chance, *free)
+    return dict(zip(fit.criterion.outputs, size.tolist(), strict=True))
 
 
 def chance_by_estimates(
@@ -126,16 +133,42 @@ def chance_by_estimates(
             continue
         d = signals_of(fit.criterion.model, split.whole[e])
         slopes = fit.criterion.simulated(fit.x, e, signals=d).jacobian[mask]
-        square = np.sum((slopes @ covariance) * slopes, axis=(0, 2))
+        square = np.sum((slopes @ covariance) * slopes, axis=2)
+        square = np.sum(np.where(d.used[mask], square, 0.0), axis=0)
         moved += np.nan_to_num(square, nan=0.0, posinf=0.0)
     size = np.array([floor.get(o, 0.0) for o in outputs])
-    mean = moved / max(_samples_held_out(split), 1) / np.maximum(size**2, TINY)
+    readings = _counts(fit, split, held=True).readings
+    mean = moved / np.maximum(readings, 1) / np.maximum(size**2, TINY)
     share = chi2.isf(RESIDUAL.held_out_chance, 1) * mean
     return dict(zip(outputs, share.tolist(), strict=True))
 
 
-def _samples_held_out(split: Split) -> int:
-    return sum(int(m.sum()) for m in split.held) + sum(e.record.N for e in split.apart)
+class _Counts(NamedTuple):
+    """Of one part of the records: samples of the clock, and readings of each output (ny,)."""
+
+    samples: int
+    readings: Array
+
+
+def _counts(fit: Fit, split: Split, *, held: bool) -> _Counts:
+    model = fit.criterion.model
+    used = [signals_of(model, e).used for e in split.whole]
+    used = [u[m == held] for u, m in zip(used, split.held, strict=True)]
+    if held:
+        used += [signals_of(model, e).used for e in split.apart]
+    every = np.concatenate(used)
+    return _Counts(len(every), every.sum(axis=0))
+
+
+def _spread(at: Weighted, part: _Counts) -> Array:
+    """(ny,) relative standard deviation of the mean square of the readings.
+
+    With r the correlation of the noise it is sqrt(2/N sum r^2) of N samples. Of n readings among
+    them, at random, n/N of the neighbours of each are there: 2/n (1 + n/N (sum r^2 - 1)).
+    """
+    whole = at.full.spread(0, max(part.samples, 1))
+    fewer = 2 / np.maximum(part.readings, 1) - 2 / max(part.samples, 1)
+    return np.asarray(np.sqrt(whole**2 + np.maximum(fewer, 0.0)))
 
 
 def unlike_held_out(
@@ -146,24 +179,21 @@ def unlike_held_out(
 ) -> str:
     """Why what was held out forbids to call the model adequate, or an empty text.
 
-    Noise of an input that rings at a resonance has few independent values: its mean square may rise
-    by chance, as a chi-squared variable over its degrees of freedom. The errors of the estimates go
-    on into what was held out, and add to it.
+    Few readings, and noise of an input that rings at a resonance, have few independent values: the
+    mean square may rise by chance (`chance_by_noise`). The errors of the estimates go on into what
+    was held out, and add to it.
 
     Parameters
     ----------
     by_estimates : what they add to the square of each output over its floor
         (`chance_by_estimates`).
     """
-    samples, noise = _samples_held_out(found.baseline.split), found.at.full
-    spread = noise.spread(0, samples) if samples else np.zeros(len(found.at.criterion.outputs))
-    free = 2 / np.maximum(spread**2, TINY)
-    mean = chi2.isf(RESIDUAL.held_out_chance, free) / free
-    by_chance = dict(zip(found.at.criterion.outputs, mean.tolist(), strict=True))
+    base = found.baseline
+    by_chance = chance_by_noise(found.at.fit, found.at, base.split)
     for output, error in held.get("baseline_rmse", {}).items():
         inside = fitted["baseline_rmse"].get(output, math.nan)
         floor = fitted["noise_floor"][output]
-        chance = np.sqrt(by_chance[output] + by_estimates.get(output, 0.0))
+        chance = math.sqrt(by_chance.get(output, 1.0) + by_estimates.get(output, 0.0))
         if error > max(JUDGING.unlike * max(inside, floor), chance * floor):
             shown = found.at.criterion.model.shown_size
             unit = found.at.criterion.model.unit_of(output)
