@@ -35,6 +35,9 @@ FORGOTTEN = 1e-12
 """Of a filter's norm, what is left of it where it ends: less is rounding."""
 LENGTHS = 8
 """Lengths of a filter that one transform takes of a long record: the parts overlap by one."""
+PART = 1024
+"""Samples that one transform takes of a long record, at least: fewer take longer to call than to
+transform, eight of a filter of two taps 20 times as long as these."""
 COHERENT = 1e-3
 """Squared coherence below which outputs are whitened one by one."""
 LONGEST = 400
@@ -285,7 +288,8 @@ def _in_parts(taps: Array, columns: Array) -> Array:
     A transform of a part stays in the processor's cache (overlap-save).
     """
     N, before = len(columns), taps.shape[2] - 1
-    size = next_fast_len(LENGTHS * (before + 1), real=True)
+    least = min(PART, N + before)
+    size = next_fast_len(max(LENGTHS * (before + 1), least), real=True)
     filters, step = rfft(taps, size), size - before
     padded = np.zeros((before + -(-N // step) * step, *columns.shape[1:]))
     padded[before : before + N] = columns

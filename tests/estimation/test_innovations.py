@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
+from casid.estimation import innovations
 from casid.estimation.innovations import innovations_of
 
 OMEGA = np.linspace(0.0, np.pi, 2049)
@@ -103,6 +104,23 @@ def test_parts_of_a_long_record_are_whitened_as_the_whole():
     columns = np.random.default_rng(4).standard_normal((N, 2, 3))
     whole = replace(found, taps=None).whiten(columns)
     assert found.whiten(columns) == pytest.approx(whole, abs=1e-11 * float(np.abs(whole).max()))
+
+
+@pytest.mark.parametrize(("samples", "calls"), [(40, 1), (1900, 2), (30_000, 30)])
+def test_few_transforms_whiten_a_record_by_a_filter_of_two_taps(monkeypatch, samples, calls):
+    """z_k - a z_(k-1) in parts of 1024 samples: eight at a time took thousands of calls."""
+    taps, columns = np.array([[[1.0, -0.4]]]), np.random.default_rng(0).normal(size=(samples, 1, 3))
+    parts, whole = [], innovations._filtered
+
+    def counted(*arguments):
+        parts.append(1)
+        return whole(*arguments)
+
+    monkeypatch.setattr(innovations, "_filtered", counted)
+    found = innovations._in_parts(taps, columns)
+    expected = lfilter([1.0, -0.4], [1.0], columns, axis=0)
+    assert found == pytest.approx(expected, abs=1e-12)
+    assert len(parts) <= calls
 
 
 def test_a_filter_that_remembers_the_record_is_not_cut():
