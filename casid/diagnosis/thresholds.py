@@ -217,7 +217,7 @@ _DEAD_TIMES = f"{TESTS}/test_dead_time.py"
 
 @dataclass(frozen=True, slots=True)
 class DeadTimes:
-    """The scan for long dead times, of models that err by `REFITS.far`."""
+    """The scan for long dead times, of models that err by `RESTARTS.far`."""
 
     delays: int = _is(
         40,
@@ -596,6 +596,12 @@ class Refits:
     growth: float = _is(3.0, "times its value that a parameter may gain", POWER_STUDY)
     slope_room: float = _is(2.0, "times the slope to zero that a change may have", POWER_STUDY)
     inside: float = _is(0.9, "of these bounds between which a fit starts", POWER_STUDY)
+
+
+@dataclass(frozen=True, slots=True)
+class Restarts:
+    """When a refit is begun again elsewhere."""
+
     lost: float = _is(
         0.1,
         "of its declared start, below which a parameter says little of how far it may change",
@@ -609,6 +615,12 @@ class Refits:
     )
     explained: float = _is(
         3.0, "times its noise, the error that needs no other start", _JOINT_REFIT
+    )
+    shorter: tuple[float, ...] = _is(
+        (0.1, 0.01),
+        "of the linearised size of an effect, to start from where the whole of it led farther from "
+        "the records than the model without it",
+        _JOINT_REFIT,
     )
 
 
@@ -1193,6 +1205,7 @@ PEAKS = Peaks()
 COGGING = Cogging()
 COMPARISON = Comparison()
 REFITS = Refits()
+RESTARTS = Restarts()
 JUMPS = Jumps()
 FRICTION = Friction()
 BURSTS = Bursts()
@@ -1225,6 +1238,7 @@ GROUPS = (
     COGGING,
     COMPARISON,
     REFITS,
+    RESTARTS,
     JUMPS,
     BURSTS,
     FRICTION,

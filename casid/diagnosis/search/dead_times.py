@@ -23,7 +23,7 @@ from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.search.joint_refit import is_dead_time
 from casid.diagnosis.search.preselection import head_of
-from casid.diagnosis.thresholds import DEAD_TIMES, REFITS
+from casid.diagnosis.thresholds import DEAD_TIMES, RESTARTS
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 
@@ -33,7 +33,7 @@ def with_far_dead_times(
 ) -> ScoreTable:
     """The table with the steps of dead times that a scan finds far from zero."""
     late = [s for s in table.scores if is_dead_time(s.effect)]
-    if not late or error_over_noise(at.fit, at.noise) < REFITS.far:
+    if not late or error_over_noise(at.fit, at.noise) < RESTARTS.far:
         return table
     share = min(1.0, DEAD_TIMES.part / sum(d.N for d in at.criterion.data))
     heads = [e if share == 1.0 else head_of(e, share) for e in experiments]

@@ -24,7 +24,7 @@ from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.temporary_changes import temporary_changes
-from casid.diagnosis.thresholds import DISTURBED, REFITS
+from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 
@@ -38,7 +38,7 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
     """
     if not start.noise_absorbs_misfit or is_held(base):
         return None
-    if error_over_noise(base, start.noise) > REFITS.far:
+    if error_over_noise(base, start.noise) > RESTARTS.far:
         return None
     search.progress("test whether a random disturbance explains all that the model leaves")
     beside = search.with_disturbances()

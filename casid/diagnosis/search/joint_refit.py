@@ -25,7 +25,7 @@ from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.search.imitations import is_soft_stop
-from casid.diagnosis.thresholds import REFITS
+from casid.diagnosis.thresholds import REFITS, RESTARTS
 from casid.errors import SolveError
 from casid.estimation.nlp.solver import LEADS_TO_KNOWN
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
@@ -71,6 +71,7 @@ class Refitting:
             )
             if found is not None and (best is None or found.gain > best.gain):
                 best = found
+        best = self._from_shorter_step(at, effect, step, starts or {}, best)
         best = self._from_declared_starts(at, effect, starts or {}, 0.0, best, below)
         if is_dead_time(effect):
             best = self._from_declared_starts(at, effect, starts or {}, step, best, below)
@@ -79,6 +80,32 @@ class Refitting:
         best = self._with_more_room(at, best)
         self.attempts.succeeded(name_of(effect))
         return best if _is_plausible(at, best) else None
+
+    def _from_shorter_step(
+        self,
+        at: Weighted,
+        effect: Effect,
+        step: float,
+        starts: Mapping[str, float],
+        best: Candidate | None,
+    ) -> Candidate | None:
+        """The better of `best` and a fit from a part of the step, where that led away.
+
+        At its null value an effect leaves the model as it is: a fit that ends farther from the
+        records than that one began where the line does not hold that gave the step.
+        """
+        if effect.limit is not None or effect.kind in SWITCHED or effect.test == "clip":
+            return best
+        first, farthest = effect.parameters[0], (1 + REFITS.enough) * at.fit.solution.value
+        for share in RESTARTS.shorter:
+            if best is not None and best.fit.solution.value <= farthest:
+                break
+            begun = {**starts, first.name: first.start + share * step}
+            part = partial(self._from, at, effect, begun, None, at.fit.values)
+            found = self.attempts.attempt(name_of(effect), part)
+            if found is not None and (best is None or found.gain > best.gain):
+                best = found
+        return best
 
     def _with_more_room(self, at: Weighted, best: Candidate) -> Candidate:
         """A delay or lag that ends at the end of what its start left it, with room from there.
@@ -122,9 +149,9 @@ class Refitting:
         fit without it has left next to nothing: that bounds the change.
         """
         if not _is_of_lost_parameter(at, effect):
-            if error_over_noise(at.fit, at.noise) < REFITS.far:
+            if error_over_noise(at.fit, at.noise) < RESTARTS.far:
                 return best
-            if best is not None and error_over_noise(best.fit, at.noise) < REFITS.explained:
+            if best is not None and error_over_noise(best.fit, at.noise) < RESTARTS.explained:
                 return best
         start, upper = _starts(at, effect, step, near=True)[0]
         first = {**starts, effect.parameters[0].name: start}
@@ -181,7 +208,7 @@ class Refitting:
         effect, values = found.effect, found_values(found)
         first = effect.parameters[0]
         new = self.refit(at, effect, values[first.name] - first.start, starts=values, near=near)
-        if new is not None and error_over_noise(new.fit, at.noise) < REFITS.explained:
+        if new is not None and error_over_noise(new.fit, at.noise) < RESTARTS.explained:
             return new
         whole = partial(self._from, at, effect, values, None, found.fit.values, best=new)
         other = self.attempts.attempt(name_of(effect), whole)
@@ -284,7 +311,7 @@ def _is_of_lost_parameter(at: Weighted, effect: Effect) -> bool:
     name = moved_parameter(effect)
     if name is None or name not in at.fit.values or name not in at.model.parameters:
         return False
-    return abs(at.fit.values[name]) < REFITS.lost * abs(at.model.parameters[name].nominal)
+    return abs(at.fit.values[name]) < RESTARTS.lost * abs(at.model.parameters[name].nominal)
 
 
 def _starts(

@@ -42,7 +42,7 @@ from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.search.swinging_parts import beside_lines
 from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.settings import Progress
-from casid.diagnosis.thresholds import BUDGET, COMPARISON, REFITS, SHORTLIST
+from casid.diagnosis.thresholds import BUDGET, COMPARISON, RESTARTS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
@@ -253,7 +253,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     which every parameter may: they crowd out nobody. Where the model errs by far more than the
     noise its scores tell little, and twice as many are refitted.
     """
-    is_far = error_over_noise(at.fit, at.noise) > REFITS.far
+    is_far = error_over_noise(at.fit, at.noise) > RESTARTS.far
     most = SHORTLIST.kinds * (2 if is_far else 1)
     visible = [s for s in table.tested if s.unrobust > 0.0]
     if not at.noise_absorbs_misfit:

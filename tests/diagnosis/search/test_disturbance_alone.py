@@ -18,7 +18,7 @@ from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.disturbance_alone import disturbance_alone, is_resolved
 from casid.diagnosis.search.disturbance_price import price_of
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.thresholds import DISTURBED, REFITS
+from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.holdout import split_records
@@ -59,7 +59,7 @@ def test_a_drag_in_a_sea_has_to_be_sought() -> None:
 
 def test_a_model_that_errs_by_many_times_the_noise_is_searched() -> None:
     search, start, base = started(record(1))
-    assert error_over_noise(base, start.noise) > REFITS.far
+    assert error_over_noise(base, start.noise) > RESTARTS.far
     assert disturbance_alone(search, start, base) is None
 
 

@@ -98,6 +98,19 @@ def test_a_start_that_leads_to_a_minimum_found_before_is_not_followed_to_its_end
     assert passes[1] < passes[0]
 
 
+def test_a_step_that_leads_away_is_shortened() -> None:
+    """Drag from 10 000 times its linearised size: the simulation diverges within a second."""
+    at, experiments = fitted("quadratic damping", 3)
+    weighing = Weighing(experiments, known_noise={"F": 0.02})
+    scores = shortlist(at, Search(weighing, RECORDED).table(at, []))
+    (score,) = (s for s in scores if s.effect.key == ("quadratic_damping", "force"))
+    refitting = Refitting(weighing)
+    near, far = (refitting.refit(at, score.effect, k * score.step) for k in (1, 1e4))
+    assert near is not None and far is not None
+    assert far.gain == pytest.approx(near.gain, rel=1e-3)
+    assert not refitting.attempts.failed
+
+
 @pytest.mark.slow
 def test_a_large_drag_is_named_and_sized_from_where_the_user_would_start() -> None:
     found = casid.diagnose(roll_axis(), flight(drag=0.02, seed=1), advise=False)

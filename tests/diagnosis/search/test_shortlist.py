@@ -9,7 +9,7 @@ import pytest
 import casid
 from casid.diagnosis.evidence.score_tests import Score
 from casid.diagnosis.search import rounds
-from casid.diagnosis.thresholds import REFITS, SHORTLIST
+from casid.diagnosis.thresholds import RESTARTS, SHORTLIST
 from casid.model.effects.channel_effects import sensor_lag
 from casid.model.effects.effect import Motion
 from casid.model.effects.parameter_effects import parameter_jump, state_scheduled_parameter
@@ -26,7 +26,7 @@ def test_far_from_the_noise_a_parameter_is_refitted_with_every_power_of_its_stat
     m.output("i", i, "A")
     effects = [state_scheduled_parameter(m, "L", "i", Motion(1, 0, 4, 1), k) for k in (1, 2)]
     scores = [Score(e, 9.0, 1e-9, 1e-9, 0.0, 0.0, 90.0 - k, 1.0) for k, e in enumerate(effects)]
-    monkeypatch.setattr(rounds, "error_over_noise", lambda *_: times * REFITS.far)
+    monkeypatch.setattr(rounds, "error_over_noise", lambda *_: times * RESTARTS.far)
     at = SimpleNamespace(fit=None, noise=None, noise_absorbs_misfit=True)
     found = rounds.shortlist(at, SimpleNamespace(tested=scores))  # type: ignore[arg-type]
     assert {s.effect.variant for s in found} == powers
@@ -46,7 +46,7 @@ def test_jumps_of_many_parameters_crowd_out_no_lasting_effect(monkeypatch: pytes
     lag = sensor_lag(m, "T_0", 10.0)
     scores = [Score(e, 9.0, 1e-9, 1e-9, 0.0, 0.0, 90.0, 1.0) for e in jumps]
     scores.append(Score(lag, 5.0, 1e-6, 1e-6, 0.0, 0.0, 30.0, 1.0))
-    monkeypatch.setattr(rounds, "error_over_noise", lambda *_: 0.5 * REFITS.far)
+    monkeypatch.setattr(rounds, "error_over_noise", lambda *_: 0.5 * RESTARTS.far)
     at = SimpleNamespace(fit=None, noise=None, noise_absorbs_misfit=True)
     found = rounds.shortlist(at, SimpleNamespace(tested=scores))  # type: ignore[arg-type]
     assert sum(s.effect.is_on_the_clock for s in found) == SHORTLIST.timed
