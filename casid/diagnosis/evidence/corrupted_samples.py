@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.sampling import stretches_of
 from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
 from casid.diagnosis.evidence.spikes import (
     Spikes,
@@ -20,6 +21,7 @@ from casid.diagnosis.evidence.stuck_sensors import Standstills, find_standstills
 from casid.diagnosis.thresholds import OUTLIERS
 from casid.estimation.holdout import Split, restarts, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.signals import Signals
 from casid.model.model import Model
 
 
@@ -31,13 +33,14 @@ class CorruptedSamples:
     plateaus: tuple[Plateaus, ...] = ()
     standstills: tuple[Standstills, ...] = ()
     first: int = 0  # first samples, from before the inputs had acted
+    behind_gaps: int = 0  # samples that show what an input did where it was not recorded
 
     @property
     def count(self) -> int:
         """Samples left out."""
         left_out = [s.count for s in self.spikes] + [p.count for p in self.plateaus]
         left_out += [s.count for s in self.standstills]
-        return sum(left_out) + self.first
+        return sum(left_out) + self.first + self.behind_gaps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +54,7 @@ class _Simulated:
     anew: list[Array]  # samples at which the simulation starts anew
     times: list[Array]  # (N,) [s]
     sizes: list[Array]  # (N,) of the noise, relative
+    behind: list[Array]  # (N,) bool, in or shortly behind a gap of an input that was filled
 
     @property
     def residuals(self) -> list[Array]:
@@ -96,7 +100,7 @@ def without_corrupted(
 
     `without` are kinds that are not looked for.
     """
-    first = 0
+    first, behind_gaps = 0, 0
     spikes: list[Spikes] = []
     plateaus: list[Plateaus] = []
     standstills: list[Standstills] = []
@@ -120,20 +124,38 @@ def without_corrupted(
             if any(mask.any() for mask in early):
                 first += sum(int(mask.sum()) for mask in early)
                 split = at.left_out(split, channel, early)
-            found = find_spikes(
-                channel,
-                at.residuals,
-                OUTLIERS.test_share * alpha,
-                inputs=at.inputs_used,
-                anew=at.anew_among_used,
-            )
+            found, behind = _spikes(channel, at, OUTLIERS.test_share * alpha)
+            if any(mask.any() for mask in behind):
+                behind_gaps += sum(int(mask.sum()) for mask in behind)
+                split = _masked(split, channel, behind)
             if found is not None:
                 masks = tuple(at.in_records(found.masks))
                 measured = tuple(y[m] for y, m in zip(at.measured, masks, strict=True))
                 found = replace(found, masks=masks, measured=measured)
                 spikes.append(found)
                 split = _masked(split, channel, found.masks)
-    return CorruptedSamples(tuple(spikes), tuple(plateaus), tuple(standstills), first), split
+    corrupted = tuple(spikes), tuple(plateaus), tuple(standstills)
+    return CorruptedSamples(*corrupted, first, behind_gaps), split
+
+
+def _spikes(channel: str, at: _Simulated, alpha: float) -> tuple[Spikes | None, list[Array]]:
+    """The spikes of a channel, and masks of samples that stand out behind gaps of the inputs.
+
+    What fills a gap is not what acted there. A sample that shows it stands out as a spike does, and
+    says nothing of the sensor: it is used no more in `at`, and the others are tested without it.
+    """
+    gone = [np.zeros(len(used), dtype=bool) for used in at.used]
+    while True:
+        found = find_spikes(
+            channel, at.residuals, alpha, inputs=at.inputs_used, anew=at.anew_among_used
+        )
+        masks = at.in_records(found.masks) if found is not None else []
+        behind = [mask & near for mask, near in zip(masks, at.behind, strict=False)]
+        if not any(mask.any() for mask in behind):
+            return found, gone
+        for used, left_out, mask in zip(at.used, gone, behind, strict=True):
+            used &= ~mask
+            left_out |= mask
 
 
 def confirmed(
@@ -230,7 +252,22 @@ def _channel(fit: Fit, split: Split, i: int) -> _Simulated:
         restarts(fit, split),
         [d.t for d, _, _ in runs],
         [d.relative_sizes[:, i] for d, _, _ in runs],
+        [_behind_gaps(d) for d, _, _ in runs],
     )
+
+
+def _behind_gaps(d: Signals) -> Array:
+    """Samples (N,) in a gap of an input that was filled, or few enough behind it to show it.
+
+    The intervals of an input with a slower clock of its own are no gaps.
+    """
+    near = np.zeros(len(d.t), dtype=bool)
+    for mask in d.filled.values():
+        usual = np.median(np.diff(np.flatnonzero(~mask))) if np.sum(~mask) > 1 else len(mask)
+        for first, stop in zip(*stretches_of(mask), strict=True):
+            if stop - first + 1 > usual:
+                near[first : stop + OUTLIERS.after_steps] = True
+    return near
 
 
 def _act_later(model: Model, channel: str) -> Array:

@@ -106,7 +106,8 @@ def test_a_step_that_leads_away_is_shortened() -> None:
     (score,) = (s for s in scores if s.effect.key == ("quadratic_damping", "force"))
     refitting = Refitting(weighing)
     near, far = (refitting.refit(at, score.effect, k * score.step) for k in (1, 1e4))
-    assert near is not None and far is not None
+    assert near is not None
+    assert far is not None
     assert far.gain == pytest.approx(near.gain, rel=1e-3)
     assert not refitting.attempts.failed
 
