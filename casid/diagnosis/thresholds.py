@@ -1069,7 +1069,10 @@ class Judging:
         _SPIKES,
     )
     unlike: float = _is(
-        1.5, "times the fitted error or floor: a held-out error that forbids a verdict", CASES
+        1.5,
+        "times the fitted error or floor: a held-out error that forbids a verdict; times its RMS "
+        "error with an effect, that of an output without it, which makes the effect a cause",
+        CASES,
     )
     at_floor: float = _is(
         1.1,

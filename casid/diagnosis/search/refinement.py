@@ -10,8 +10,9 @@ therefore refined when it is complete, by the errors of all causes together:
 - a store whose time constant ends at a bound gives way to what is simpler and does the same;
 - a cause that explains less than `JUDGING.practical` of the misfit is a small remainder: reported,
   but not as a cause, unless a parameter of the model is another one without it (`JUDGING.carried`):
-  dry friction that viscous friction replaces but for little. A remainder leaves the extended model
-  too, unless the sizes of the causes need it.
+  dry friction that viscous friction replaces but for little; or unless one output has the misfit
+  that it explains (`JUDGING.unlike`), small as that is beside the misfit of another. A remainder
+  leaves the extended model too, unless the sizes of the causes need it.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from casid.diagnosis.search.instant_errors import moved_in_time
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
+    fitted_error,
     on_common_samples,
     simulation_errors,
     why_held_out,
@@ -294,7 +296,7 @@ class Refinement:
                 break
             without = self._without(bare, kept[i].candidate)
             judged.remove(i)
-            if _carries(self.start.model, bare, without):
+            if _carries(self.start.model, bare, without) or self._is_seen(bare, without):
                 continue
             share = losses[i] / total
             small.append(replace(kept.pop(i), share=share))
@@ -335,6 +337,18 @@ class Refinement:
         """True if the fitted part has a practically larger error without an effect."""
         now, then = self._compared(fit, without)
         return then.square > (1 + JUDGING.practical) * now.square
+
+    def _is_seen(self, fit: Fit, without: Fit) -> bool:
+        """True if one output errs far more without an effect, by a share of what all explain in it.
+
+        Sums over the outputs hide it where the misfit of another output is many times as large.
+        """
+        errors = [fitted_error(f, self.split, self.units) for f in (fit, without)]
+        errors.append(self.before.fitted)
+        counts = ~np.any([np.isnan(e) for e in errors], axis=0)
+        now, then, before = (np.sum(np.where(counts, e, 0.0) ** 2, axis=0) for e in errors)
+        is_seen = then > JUDGING.unlike**2 * now
+        return bool(np.any(is_seen & (then - now >= JUDGING.practical * (before - now))))
 
     def _compared(self, *fits: Fit) -> list[SimulationErrors]:
         """Errors of fits, on the samples that all of them count."""

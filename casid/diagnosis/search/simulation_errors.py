@@ -255,7 +255,7 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
     may leave what was measured.
     """
     units = before.criterion.weights
-    fitted = [_fitted_error(f, split, units) for f in (before, after)]
+    fitted = [fitted_error(f, split, units) for f in (before, after)]
     counts = ~np.isnan(fitted[0]) & ~np.isnan(fitted[1])
     held_out = [_held_out(f, split, units) for f in (before, after)]
     parts = {"fitted": [e[counts] for e in fitted], "held-out": held_out}
@@ -267,7 +267,7 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
     return ""
 
 
-def _fitted_error(fit: Fit, split: Split, units: Array) -> Array:
+def fitted_error(fit: Fit, split: Split, units: Array) -> Array:
     """(M, ny) of the part that was fitted, in `units`."""
     whole = _whole_errors(fit, split, units)
     return np.concatenate([error[~held] for error, held in zip(whole, split.held, strict=True)])
