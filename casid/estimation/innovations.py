@@ -36,8 +36,8 @@ FORGOTTEN = 1e-12
 LENGTHS = 8
 """Lengths of a filter that one transform takes of a long record: the parts overlap by one."""
 PART = 1024
-"""Samples that one transform takes of a long record, at least: fewer take longer to call than to
-transform, eight of a filter of two taps 20 times as long as these."""
+"""Samples that one transform takes of a long record, at least: of fewer its call takes most of the
+time. Sixteen, for a filter of two taps, took 20 times as long in all."""
 COHERENT = 1e-3
 """Squared coherence below which outputs are whitened one by one."""
 LONGEST = 400

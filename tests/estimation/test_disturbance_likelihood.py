@@ -96,7 +96,7 @@ def test_a_variance_of_next_to_nothing_holds_nothing_else_back() -> None:
     search = _Likelihood(fit.criterion, at.full, {}, [None])
     z = np.concatenate([fit.x, search.start])
     wanted = np.full(len(z), 1e-4)
-    wanted[len(fit.x)] = 1e5  # times LONGEST
+    wanted[len(fit.x)] = 1e5 * LONGEST
     information = np.eye(len(z))
     information[len(fit.x), len(fit.x)] = 1e-9
     step = search.step(z, _At(0.0, -information @ wanted, information), 0.0)

@@ -124,10 +124,8 @@ def without_corrupted(
             if any(mask.any() for mask in early):
                 first += sum(int(mask.sum()) for mask in early)
                 split = at.left_out(split, channel, early)
-            found, behind = _spikes(channel, at, OUTLIERS.test_share * alpha)
-            if any(mask.any() for mask in behind):
-                behind_gaps += sum(int(mask.sum()) for mask in behind)
-                split = _masked(split, channel, behind)
+            found, split, shown = _spikes(channel, at, split, OUTLIERS.test_share * alpha)
+            behind_gaps += shown
             if found is not None:
                 masks = tuple(at.in_records(found.masks))
                 measured = tuple(y[m] for y, m in zip(at.measured, masks, strict=True))
@@ -138,24 +136,28 @@ def without_corrupted(
     return CorruptedSamples(*corrupted, first, behind_gaps), split
 
 
-def _spikes(channel: str, at: _Simulated, alpha: float) -> tuple[Spikes | None, list[Array]]:
-    """The spikes of a channel, and masks of samples that stand out behind gaps of the inputs.
+def _spikes(
+    channel: str, at: _Simulated, split: Split, alpha: float
+) -> tuple[Spikes | None, Split, int]:
+    """The spikes of a channel; the split without samples that stand out behind gaps of the inputs.
 
     What fills a gap is not what acted there. A sample that shows it stands out as a spike does, and
-    says nothing of the sensor: it is used no more in `at`, and the others are tested without it.
+    says nothing of the sensor: it is left out, and counted, and the others are tested without it.
     """
-    gone = [np.zeros(len(used), dtype=bool) for used in at.used]
+    count = 0
     while True:
         found = find_spikes(
             channel, at.residuals, alpha, inputs=at.inputs_used, anew=at.anew_among_used
         )
-        masks = at.in_records(found.masks) if found is not None else []
-        behind = [mask & near for mask, near in zip(masks, at.behind, strict=False)]
-        if not any(mask.any() for mask in behind):
-            return found, gone
-        for used, left_out, mask in zip(at.used, gone, behind, strict=True):
-            used &= ~mask
-            left_out |= mask
+        if found is None:
+            return None, split, count
+        masks = zip(at.in_records(found.masks), at.behind, strict=True)
+        behind = [mask & near for mask, near in masks]
+        shown = sum(int(mask.sum()) for mask in behind)
+        if not shown:
+            return found, split, count
+        count += shown
+        split = at.left_out(split, channel, behind)
 
 
 def confirmed(

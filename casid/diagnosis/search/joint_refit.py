@@ -69,8 +69,7 @@ class Refitting:
             found = self.attempts.attempt(
                 name_of(effect), partial(self._from, at, effect, first, upper, values, low, best)
             )
-            if found is not None and (best is None or found.gain > best.gain):
-                best = found
+            best = _better(best, found)
         best = self._from_shorter_step(at, effect, step, starts or {}, best)
         best = self._from_declared_starts(at, effect, starts or {}, 0.0, best, below)
         if is_dead_time(effect):
@@ -96,15 +95,14 @@ class Refitting:
         """
         if effect.limit is not None or effect.kind in SWITCHED or effect.test == "clip":
             return best
-        first, farthest = effect.parameters[0], (1 + REFITS.enough) * at.fit.solution.value
+        first = effect.parameters[0]
         for share in RESTARTS.shorter:
-            if best is not None and best.fit.solution.value <= farthest:
+            if best is not None and not _is_farther(at, best.fit):
                 break
             begun = {**starts, first.name: first.start + share * step}
             part = partial(self._from, at, effect, begun, None, at.fit.values)
             found = self.attempts.attempt(name_of(effect), part)
-            if found is not None and (best is None or found.gain > best.gain):
-                best = found
+            best = _better(best, found)
         return best
 
     def _with_more_room(self, at: Weighted, best: Candidate) -> Candidate:
@@ -157,7 +155,7 @@ class Refitting:
         first = {**starts, effect.parameters[0].name: start}
         afresh = partial(self._from, at, effect, first, upper, {}, _lower(below, best), best)
         found = self.attempts.attempt(name_of(effect), afresh)
-        return found if found and (best is None or found.gain > best.gain) else best
+        return _better(best, found)
 
     def _from(
         self,
@@ -195,7 +193,7 @@ class Refitting:
         found = self.judged(at, effect, names, model, fit)
         if not (np.isfinite(found.gain) and np.isfinite(found.wald)):
             raise SolveError("its gain is not finite")
-        if found.gain > 0 and fit.solution.value > (1 + REFITS.enough) * at.fit.solution.value:
+        if found.gain > 0 and _is_farther(at, fit):
             # The model without the effect is one of its own: it gains by what noise would leave.
             raise SolveError("its fit ended farther from the records than the model without it")
         return found
@@ -269,6 +267,18 @@ class Refitting:
                 else ""
             )
         return bool(self.left_out[effect.key])
+
+
+def _better(best: Candidate | None, found: Candidate | None) -> Candidate | None:
+    """The candidate of two refits of an effect that gains more; of equal ones the first."""
+    if best is None or found is None:
+        return best or found
+    return found if found.gain > best.gain else best
+
+
+def _is_farther(at: Weighted, fit: Fit) -> bool:
+    """True of an effect's fit that ended farther from the records than the model without it."""
+    return fit.solution.value > (1 + REFITS.enough) * at.fit.solution.value
 
 
 def _is_plausible(at: Weighted, found: Candidate) -> bool:

@@ -42,6 +42,7 @@ from casid.diagnosis.search.instant_errors import moved_in_time
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
+    counted_by_all,
     fitted_error,
     on_common_samples,
     simulation_errors,
@@ -344,9 +345,8 @@ class Refinement:
         Sums over the outputs hide it where the misfit of another output is many times as large.
         """
         errors = [fitted_error(f, self.split, self.units) for f in (fit, without)]
-        errors.append(self.before.fitted)
-        counts = ~np.any([np.isnan(e) for e in errors], axis=0)
-        now, then, before = (np.sum(np.where(counts, e, 0.0) ** 2, axis=0) for e in errors)
+        errors = counted_by_all(*errors, self.before.fitted)
+        now, then, before = (np.nansum(e**2, axis=0) for e in errors)
         is_seen = then > JUDGING.unlike**2 * now
         return bool(np.any(is_seen & (then - now >= JUDGING.practical * (before - now))))
 

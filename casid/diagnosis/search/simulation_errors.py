@@ -62,16 +62,17 @@ def on_common_samples(*errors: SimulationErrors) -> list[SimulationErrors]:
 
     A late channel counts fewer than another, which would flatter it.
     """
-
-    def common(arrays: list[Array]) -> list[Array]:
-        """NaN wherever one of them is."""
-        counts = np.all([~np.isnan(a) for a in arrays], axis=0)
-        return [np.where(counts, a, np.nan) for a in arrays]
-
     fitted, continued, restarted = (
-        common([getattr(e, part) for e in errors]) for part in ("fitted", "continued", "restarted")
+        counted_by_all(*(getattr(e, part) for e in errors))
+        for part in ("fitted", "continued", "restarted")
     )
     return [SimulationErrors(*parts) for parts in zip(fitted, continued, restarted, strict=True)]
+
+
+def counted_by_all(*errors: Array) -> list[Array]:
+    """Errors (M, ny) of several models, NaN wherever those of one are."""
+    counts = np.all([~np.isnan(e) for e in errors], axis=0)
+    return [np.where(counts, e, np.nan) for e in errors]
 
 
 def simulation_errors(
