@@ -263,6 +263,7 @@ def test_a_record_too_short_for_its_unknowns_is_undecided():
     assert "too few" in d.sentence
 
 
+@pytest.mark.slow
 def test_of_a_short_record_with_outliers_nothing_else_is_said():
     """Without the spikes the samples are too few: that nothing was tested is no clean bill."""
     record = record_of(truth.cart_pendulum(seed=3, duration=5.0)).between(0.0, 0.71)

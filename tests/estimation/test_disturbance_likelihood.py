@@ -150,6 +150,7 @@ def test_without_a_sea_the_estimate_hardly_moves() -> None:
     assert np.all(np.abs(x - fit.x) < 3 * errors(fit.criterion, x, at.full))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_few_missing_samples_move_the_estimate_by_little_of_its_error(seed: int) -> None:
     """Of a process that is far slower than its samples their neighbours tell nearly all.

@@ -152,6 +152,7 @@ def cramer_rao(N: int, *, noise_known: bool) -> float:
     return float(np.linalg.inv(information[keep, keep])[0, 0] / N)
 
 
+@pytest.mark.slow
 def test_instruments_waste_the_excitation_that_only_noise_knowledge_could_use() -> None:
     """var of IV: (s_j^2 + b^2 s_I^2)/(N s_delta^2); maximum likelihood reaches its bound, which is
     no lower while the noise on w_I is unknown, and much lower once it is known.

@@ -172,6 +172,7 @@ def test_the_bias_of_input_noise_is_removed_where_samples_are_missing():
     assert found.input_sd["accel"] == pytest.approx(INPUT, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ny", [1, 2])
 def test_drawn_samples_have_the_mean_and_covariance_that_their_neighbours_leave(ny: int):
     """Of a dense Gaussian: mean C_mo C_oo^-1 r_o, covariance C_mm - C_mo C_oo^-1 C_om."""

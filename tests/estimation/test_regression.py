@@ -149,6 +149,7 @@ def test_casadi_expressions_and_text_are_the_same_model():
         assert pair.values == pytest.approx(text.values, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_the_standard_errors_meet_the_spread_of_repeated_experiments():
     """Monte Carlo covariance against s^2 inv(J'J); 60 runs know a spread to 1/sqrt(120) = 9 %."""
     fits = [

@@ -215,6 +215,7 @@ def coloured_gains(n: int, there: dict[str, np.ndarray], seed: int) -> tuple[cas
     return casid.Record(channels, units, Ts=1.0, missing=missing), x
 
 
+@pytest.mark.slow
 def test_outputs_of_two_rates_have_a_spectrum_each() -> None:
     """One of them in every fourth sample alone, either with coloured noise of its own.
 
@@ -267,6 +268,7 @@ def test_a_spectrum_known_from_few_excursions_widens_errors_as_students_t() -> N
     assert found[1] == pytest.approx(student.ppf(0.975, samples) / norm.ppf(0.975), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_constant_beside_a_slow_disturbance_is_in_its_interval() -> None:
     """Of 20 excursions of the noise in a record; a normal interval holds 88 % of the constants."""
     z = []

@@ -87,6 +87,7 @@ def nomoto() -> casid.Problem:
     return casid.Problem("nomoto", m)
 
 
+@pytest.mark.slow
 def test_the_rounding_of_a_rudder_is_no_dry_friction():
     """On course it rests at an angle that is read as zero, as if friction held the ship."""
     found = casid.diagnose(nomoto(), turning(seed=4), advise=False)

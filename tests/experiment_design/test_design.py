@@ -89,6 +89,7 @@ def test_an_input_that_the_problem_joins_by_lines_is_said_to_be_held(
     assert not any("declare hold" in note for note in lines.notes)
 
 
+@pytest.mark.slow
 def test_of_several_sizes_of_a_cause_the_worst_counts(
     separated: casid.DesignedExperiment,
 ) -> None:

@@ -115,6 +115,7 @@ def test_the_table_is_the_same_on_two_processes(done: casid.Fleet, heaters: Path
     assert contents(heaters / "two") == contents(heaters / "out")
 
 
+@pytest.mark.slow
 def test_the_table_is_the_same_on_a_cluster_of_two_processes(
     done: casid.Fleet, heaters: Path
 ) -> None:

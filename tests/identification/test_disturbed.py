@@ -474,6 +474,7 @@ def test_a_sensor_that_feels_the_disturbance_and_is_an_input_is_warned_of(spectr
         assert all("input accel responds directly to what acts in torque" in w for w in warned)
 
 
+@pytest.mark.slow
 def test_a_slow_clock_changes_the_unit_of_time_alone():
     """Samples of ten minutes, or a day, of a room as of a tenth of a second of a heater.
 

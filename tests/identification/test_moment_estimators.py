@@ -135,6 +135,7 @@ def test_a_prior_that_is_uncertain_widens_what_depends_on_it(records) -> None:
     assert slope == pytest.approx(moved, rel=0.05)
 
 
+@pytest.mark.slow
 def test_covariance_bootstrap_and_profile_tell_the_same_where_the_map_is_mild(staged) -> None:
     """400 resamples: the relative error of a standard deviation is 1/sqrt(800) = 3.5 %; blocks cut
     the memory of the products, and lose a little on top."""

@@ -50,6 +50,7 @@ def test_one_input_and_one_output_share_the_suspicion(channel: str) -> None:
     assert "scale of -1" in str(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", ["r", "accel"])
 def test_the_yaw_gyro_and_the_accelerometer_of_a_ship_are_named(channel: str) -> None:
     found = suspected(ship.problem, negated(ship_records(), channel))

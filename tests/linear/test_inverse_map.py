@@ -217,6 +217,7 @@ def test_closed_forms_take_whole_samples():
     np.testing.assert_allclose(found["z_m"], places, rtol=1e-7)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(m=st.floats(0.02, 3.0), z_m=st.floats(0.02, 0.5), sign=st.sampled_from([-1, 1]))
 def test_a_load_above_or_below_is_found_from_the_same_start(m, z_m, sign):

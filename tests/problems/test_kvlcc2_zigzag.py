@@ -98,6 +98,7 @@ def test_every_derived_channel_says_how_it_is_made_and_how_noisy_it_is():
 # -- its simulation --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_zigzag_without_noise_returns_the_truth():
     """At the roll frequency the smoother loses 0.1 % of v and a_y, and none of delta."""
     quiet = kvlcc2_zigzag.problem.experiment(kvlcc2_zigzag.simulate(noise=0.0, duration=300.0))
@@ -107,6 +108,7 @@ def test_a_zigzag_without_noise_returns_the_truth():
         assert estimate[name] == pytest.approx(TRUTH[name], rel=0.02), name
 
 
+@pytest.mark.slow
 def test_with_the_noise_of_the_files_the_roll_frequency_is_within_a_percent():
     omega, _ = study.frequency(casid.identify(kvlcc2_zigzag.problem))
     assert omega == pytest.approx(OMEGA_0, rel=0.01)

@@ -92,6 +92,7 @@ def test_an_error_of_the_geometry_reaches_the_estimate_by_the_slope_of_the_close
     assert found.std_error("zbar_g") == pytest.approx(1e-3 * abs(slope), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_intervals_of_the_tilting_test_cover_the_truth_as_often_as_they_say() -> None:
     equations = tilting_equations(LOADS, SUPPORTS)
     exact = equations.solve()

@@ -160,6 +160,7 @@ def test_first_fits_are_reproduced(measured, hold, hardens):
         assert mV < 1.1
 
 
+@pytest.mark.slow
 def test_a_band_limited_input_takes_the_error_to_a_third(measured):
     """Cubic and quadratic spring, six parameters: at most 0.30 mV held out, as GP NARX.
 

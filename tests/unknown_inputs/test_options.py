@@ -90,6 +90,7 @@ def test_one_call_gives_one_row_an_option_and_one_table() -> None:
         found["guess"]
 
 
+@pytest.mark.slow
 def test_remarks_say_what_is_consistent_and_why() -> None:
     found = on_telegraph()
     assert [r.option for r in found.rows if r.is_consistent] == [

@@ -118,6 +118,7 @@ def test_the_screening_takes_seas_for_seas(problem: casid.Problem, tmp_path: Pat
     assert screen(problem.read(biased)).p_value < 1e-6
 
 
+@pytest.mark.slow
 def test_a_sea_that_a_far_fit_hides_is_found_next_to_the_truth(
     problem: casid.Problem, tmp_path: Path
 ) -> None:

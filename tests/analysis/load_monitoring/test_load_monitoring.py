@@ -83,6 +83,7 @@ def test_the_margin_and_GM_are_those_of_the_ship() -> None:
         assert study.margin(values) == pytest.approx(wanted["k + S g"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_height_of_the_axis_costs_k_its_certainty_as_the_family_says(
     calibrated: tuple[Calibration, list[Moments]],
 ) -> None:

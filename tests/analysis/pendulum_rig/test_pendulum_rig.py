@@ -62,6 +62,7 @@ def test_a_disturbance_adds_what_the_nonlinear_pendulum_adds() -> None:
     np.testing.assert_allclose(added, expected, atol=0.05 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_drawn_noise_has_the_power_that_the_filter_leaves(draws) -> None:
     """White noise of 0.007 rad/s behind 41 taps: sd 0.007 ||h||. 12 000 samples that remember
     about 8 each: relative error of the sd 1/sqrt(2 x 1500) = 1.8 %, four of them."""
@@ -152,6 +153,7 @@ def test_simulation_with_true_parameters_misses_what_the_bilinear_transform_move
         assert straight[case, "gyro"].fit > 95
 
 
+@pytest.mark.slow
 def test_springs_that_stiffen_raise_k_as_bussgang_has_it() -> None:
     """k (1 + 3 kappa sigma^2), to twice the 13 % by which five minutes' fourth moment is off."""
     (row,) = stiffening([0.25], ERRORS, duration=300.0)

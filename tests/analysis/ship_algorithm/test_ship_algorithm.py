@@ -212,6 +212,7 @@ def test_slopes_at_the_truth_are_those_of_the_thesis(family):
         assert moved.slopes[name] == pytest.approx(slope, rel=2e-3, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_an_estimate_with_another_choice_is_the_image_along_the_family(three, found, family):
     """Values and standard errors of a fit with z_f elsewhere, from this one without any data.
 

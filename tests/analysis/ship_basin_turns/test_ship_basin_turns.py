@@ -103,6 +103,7 @@ def test_the_speed_makes_the_spikes(sets):
 # -- damping ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ship", "differs"), [("all terms", True), ("none of them", False)])
 def test_roll_decay_in_a_turn_and_after_it_is_that_of_the_simulators_terms(ship, differs):
     """Seven windows of 3 s each; with the nonlinear terms off the two decays are one."""

@@ -143,6 +143,7 @@ def mean_p(problem, experiments, *, false_alarm_rate, hold_out):
     return answer(float(np.abs(np.mean(experiments[0].record["phi"]))), false_alarm_rate)
 
 
+@pytest.mark.slow
 def test_the_number_of_processes_changes_nothing():
     problem = casid.load_problem(ROOT / "problems" / "roll_decay.py")
     one, two = (

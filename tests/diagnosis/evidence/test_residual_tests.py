@@ -75,6 +75,7 @@ def test_noise_that_a_controller_feeds_back_is_no_error_that_depends_on_its_comm
     assert alarms <= binom.ppf(0.995, 8, 0.05)
 
 
+@pytest.mark.slow
 def test_a_white_disturbance_is_a_disturbance_and_not_deterministic():
     """Pushes of 0.05 N rms in 1 Hz at once: most records tell, none is called deterministic."""
     verdicts = [told("none", seed, 0.05).verdict for seed in range(40, 46)]

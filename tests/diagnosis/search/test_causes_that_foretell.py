@@ -48,6 +48,7 @@ def record() -> casid.Record:
     return casid.Record({"F": F, "position": path}, {"F": "N", "position": "m"}, Ts=TS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("foretells", [True, False])
 def test_nothing_is_sought_beside_a_disturbance_where_causes_foretell(monkeypatch, foretells):
     """Friction is kept out of the search: it shows in what the spring leaves."""

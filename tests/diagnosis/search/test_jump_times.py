@@ -46,6 +46,7 @@ def test_a_jump_in_the_second_record_is_found_where_it_is():
     assert jump.value == pytest.approx(0.3, abs=3 * jump.std_error)
 
 
+@pytest.mark.slow
 def test_the_instant_is_placed_to_a_fraction_of_a_sample():
     """A tenth of a sample is made up for by the size of the jump, by much of its standard error.
 

@@ -46,6 +46,7 @@ def lamp(seed: int) -> casid.Record:
     return casid.Record({"u": u, "T": y}, {"u": "V", "T": "K"}, Ts=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 7])
 def test_a_store_and_a_dead_time_are_adopted_together(seed: int) -> None:
     split = split_records([casid.Experiment(lamp(seed))], 0.3)

@@ -31,6 +31,7 @@ def test_short_records_are_refitted_as_they_are(found):
     assert all(start.found is None for start in kept)
 
 
+@pytest.mark.slow
 def test_only_hopeless_candidates_are_left_out_of_a_long_record(found, monkeypatch):
     refitting, at, short = found
     every = {s.effect.key: refitting.refit(at, s.effect, s.step, starts=s.starts) for s in short}

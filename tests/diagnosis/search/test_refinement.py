@@ -116,6 +116,7 @@ def test_of_two_that_do_the_same_one_stays_though_each_is_small_beside_the_other
     assert len(kinds & {"deadzone", "parameter_drift"}) == 1
 
 
+@pytest.mark.slow
 def test_of_two_that_fit_alike_the_one_that_predicts_is_named():
     """Play was named, and hardening not rejected: beside the drag, hardening predicts the end."""
     of = refinement(0.07)
@@ -163,6 +164,7 @@ def slide() -> tuple[casid.Model, casid.Record]:
     return m, casid.Record({"force": force, "position": path}, {"force": "N", "position": "m"}, Ts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("carried", [0.5, 2.0])
 def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it(
     carried: float, monkeypatch: pytest.MonkeyPatch

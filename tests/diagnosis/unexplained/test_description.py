@@ -42,6 +42,7 @@ def of(kind: str, seed: int, disturbance: float = 0.0) -> Unexplained:
     return unexplained(at, made, RECORDED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "variable"),
     [("cubic_stiffness", "phi"), ("quadratic_damping", "p"), ("coulomb_friction", "p")],
@@ -60,6 +61,7 @@ def test_on_the_indirect_pendulum_the_variable_is_found_with_a_noisy_input(
     assert f"a missing term in the torque balance that depends on {variable} (odd" in found.sentence
 
 
+@pytest.mark.slow
 def test_a_sine_in_torque_is_told_by_its_frequency():
     found = on_the_pendulum("periodic_disturbance", 1.0, 2)
     hidden = truth.cart_pendulum("periodic_disturbance", 1.0, seed=2, duration=40.0)

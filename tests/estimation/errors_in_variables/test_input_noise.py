@@ -409,6 +409,7 @@ def test_no_input_has_more_noise_than_its_own_spectrum_behind_integrators_too(se
     assert "it is not removed, since" in found.text
 
 
+@pytest.mark.slow
 def test_the_noise_at_the_start_of_the_search_is_that_which_least_squares_leaves():
     """Nothing is missing. Taken for the residual of a weighted fit, that of least squares shows no
     noise of the input: least squares would be called free of bias, and its error far too small.

@@ -333,6 +333,7 @@ def test_the_error_of_a_rounded_number_is_that_of_its_last_digit() -> None:
     assert rounding_error(np.zeros(1))[0] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["zz_10", "zz_20"])
 def test_the_surge_speed_of_a_real_zigzag_is_within_a_tenth_of_a_metre_per_second(
     name: str,

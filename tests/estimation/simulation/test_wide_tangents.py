@@ -46,6 +46,7 @@ def every_effect() -> tuple[casid.Model, list[str], dict[str, float]]:
     return model, names, {n: 0.0 for n, e in zip(names, effects, strict=True) if e.has_states}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("substeps", "at_a_time"), [(1, 2_000_000), (3, 1)])
 def test_tangents_of_a_whole_catalogue_are_those_of_one_step(monkeypatch, substeps, at_a_time):
     """Both differentiate the same steps: delays, holds and sensors between them as well.

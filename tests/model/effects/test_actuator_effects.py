@@ -194,6 +194,7 @@ def in_a_loop(gap: float, seed: int) -> casid.Record:
     return casid.Record({"u": command, "level": level}, {"u": "m", "level": "m"}, Ts=Ts)
 
 
+@pytest.mark.slow
 def test_a_gap_narrower_than_the_noise_that_a_controller_feeds_back_is_found():
     """A known command acts as it was recorded, the noise in it too: that is no error of it."""
     m = measured_tank().model.copy("known command")

@@ -166,6 +166,7 @@ def test_a_resistance_in_what_a_sensor_shows_is_named_with_the_charge_that_it_de
     assert abs(slope.value + 0.4 * 0.03) < 4 * slope.std_error
 
 
+@pytest.mark.slow
 def test_a_resistance_in_what_a_sensor_shows_may_fall_with_the_recorded_current():
     """v = v_0 + k z - R (1 - 0.06 |i|) i: R~i, -0.06 R."""
     rng, N = np.random.default_rng(3), 900

@@ -139,6 +139,7 @@ def test_a_polynomial_with_everything_is_fitted_too():
     assert error @ np.linalg.solve(model.covariance, error) < chi2.ppf(0.999, model.n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["ARMAX", "BJ"])
 def test_standard_errors_are_those_of_repeated_experiments(structure):
     """Mean of (theta - theta0)' P^-1 (theta - theta0) / n over R runs is 1 +/- sqrt(2 / (n R))."""

@@ -155,6 +155,7 @@ def test_a_coloured_reference_serves_as_a_white_one_does(method):
 RUNS, N_SHORT = 20, 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "two_stage", "joint"])
 def test_means_are_the_module_and_intervals_cover_it(method):
     """Bias within SIGMAS standard errors of the mean; 95 % intervals within binomial chance."""
