@@ -38,6 +38,9 @@ LOWEST = 4
 LOWEST_CORNER = 1
 """The same of the corner of a first-order spectrum: what is slower is a walk in this record, which
 one at its lowest corner is as well."""
+LINE = 1.44
+"""Width of a line in one over the length of a record, at half its power under Hann's window (Harris,
+Proc. IEEE 66 (1978) 51-83, table 1)."""
 ROUGHLY = 1e-2
 """Relative change of the spectrum at which its variances are found while spectra are compared: the
 likelihood, at its maximum over the variances, errs by the square of that."""
@@ -164,7 +167,8 @@ def _searched(
         return search.noise_of(adjusted, value) if least < best[0] else noise
     while True:
         tried = [search.best_beside(chosen, name) for name in places_of_forces(criterion.model)]
-        more = [t for t in tried if t is not None and search.is_seen(*t[1:])]
+        more = [t for t in tried if t is not None and search.is_resolved(t[2])]
+        more = [t for t in more if search.is_seen(*t[1:])]
         top = min(more, key=lambda t: t[0], default=None)
         if top is None or top[0] >= best[0]:
             break
@@ -276,6 +280,12 @@ class _Search:
         for name, spectrum in found.items():
             design[:, ny + sources.index(name)] *= self._in_bands([spectrum])[0]
         return design
+
+    def is_resolved(self, found: Mapping[str, DisturbanceSpectrum]) -> bool:
+        """False where a band is as narrow as a line is in the longest record: it may be one."""
+        once = min(2 * np.pi / (n * Ts) for n, Ts in self.records)
+        widths = [2 * s.damping * s.frequency for s in found.values() if s.damping is not None]
+        return all(width > LINE * once for width in widths)
 
     def is_seen(self, value: Array, found: Mapping[str, DisturbanceSpectrum]) -> bool:
         """False if a force in a stated rate makes less than `LEAST` of every output."""

@@ -79,7 +79,7 @@ def gains(before: float, after: float, floor: float) -> bool:
 
 HIDDEN = [
     pytest.param("quadratic_damping", 1.2, 100, None, marks=pytest.mark.slow),  # the manual's, too
-    ("coulomb_friction", 1.2, 101, None),
+    pytest.param("coulomb_friction", 1.2, 101, None, marks=pytest.mark.slow),
     pytest.param("cubic_stiffness", 1.2, 102, None, marks=pytest.mark.slow),
     ("sensor_bias", 1.2, 103, None),
     pytest.param("extra_input", 1.2, 105, None, marks=pytest.mark.slow),

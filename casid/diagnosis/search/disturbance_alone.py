@@ -6,18 +6,17 @@ random, no effect scores beside it, and none of those that score best, beside it
 sensors' noise, lets the disturbance explain so much less that its likelihood would pay for it.
 
 A model that errs by many times the sensors' noise is searched: of its effects the tangents there
-say little. So is one beside a band as narrow as a line.
+say little.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
 from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
@@ -27,6 +26,8 @@ from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
+from casid.model.effects.periodic import sinusoid
+from casid.model.effects.search_ranges import PERIODIC_FORCES
 
 
 def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | None:
@@ -45,16 +46,18 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
     bare = search.under_disturbance(base)
     if minus_log_likelihood(bare) > as_white(base) or is_more_than_noise(bare, beside):
         return None
-    if not is_resolved(bare):
-        return None
     table = beside.table(bare, [])
     if table.smallest is not None and table.smallest.adjusted < search.alpha:
         return None
     alone = search.table(start, [])
-    needed = 0.5 * price_of(1, start.criterion.n_samples, len(alone.tested))
     at = replace(bare, fit=bare.unbiased or bare.fit)
     plain = replace(at.fit, criterion=unwhitened(at))
-    for effects, noise in ((_best(bare, table), bare.noise), (_best(start, alone), start.noise)):
+    for effects, cost, noise in (
+        (_best(bare, table), 1, bare.noise),
+        (_best(start, alone), 1, start.noise),
+        (_lines(start, alone), PERIODIC_FORCES.cost, start.noise),
+    ):
+        needed = 0.5 * price_of(cost, start.criterion.n_samples, len(alone.tested))
         columns = extended_columns(plain, effects)
         gain = gain_beside(
             at,
@@ -70,23 +73,22 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
     return bare
 
 
-def is_resolved(bare: Weighted) -> bool:
-    """False of a band that the record resolves no better than a line, which may be one."""
-    longest = max(d.N * d.Ts for d in bare.criterion.data)
-    widths = [
-        2 * shape.damping * shape.frequency / (2 * np.pi)
-        for shape in bare.noise.spectra.values()
-        if shape.damping is not None
-    ]
-    return all(width * longest > 1.0 for width in widths)
-
-
 def _best(at: Weighted, table: ScoreTable) -> list[Effect]:
     """The effects that score best, and the changes that are over before the record is.
 
-    Without lines: those are estimates, and were tested as such.
+    Without lines: those are estimates, and have a price of their own.
     """
     scored = [s for s in table.tested if s.effect.test != "peak"]
     scored.sort(key=lambda s: -s.unrobust)
     best = [*scored[: DISTURBED.looked_at], *temporary_changes(at, table)]
     return [s.effect for s in best]
+
+
+def _lines(at: Weighted, table: ScoreTable) -> list[Effect]:
+    """The lines that the sensors' noise alone would not show, at their phases."""
+    lines = [s for s in table.peaks if isinstance(s.effect.variant, float) and s.effect.kind == "periodic_disturbance"]
+    window = window_of(at)
+    return [
+        sinusoid(at.model, s.effect.where, s.effect.variant, (s.starts["a_cos"], s.starts["a_sin"]), window)
+        for s in lines
+    ]

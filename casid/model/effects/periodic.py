@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from casid.arrays import TINY
 from casid.model.clock_signals import Always, TimeSince
 from casid.model.declarations import Input, Parameter
 from casid.model.effects.effect import Effect
@@ -38,12 +39,9 @@ def periodic_disturbance(
     place = place_named(model, where)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        since = Input(f"time since {middle:.9g} s", "s", "generated", "foh", TimeSince(middle))
-        t = new.add_input(since)
-        on = new.add_input(Input("one on this clock", "1", "generated", "foh", Always()))
         a, b, f = (new.symbol(name) for name in names)
-        turn = 2 * np.pi * f * t
-        place.add(new, on * (a * ca.cos(turn) + b * ca.sin(turn)))
+        turn = 2 * np.pi * f * _since(new, middle)
+        place.add(new, _on(new) * (a * ca.cos(turn) + b * ca.sin(turn)))
 
     lower, upper = max(frequency - half, PERIODIC_FORCES.lowest * frequency), frequency + half
     parameters = (
@@ -62,3 +60,38 @@ def periodic_disturbance(
         description=place.words,
         constants={"origin": middle},
     )
+
+
+def sinusoid(
+    model: Model,
+    where: str | Place,
+    frequency: float,
+    amplitudes: tuple[float, float],
+    window: tuple[float, float],
+) -> Effect:
+    """A `periodic_disturbance` whose size alone is unknown, at the phase that amplitudes give.
+
+    Linear in its one parameter, it is scored as other effects are.
+    """
+    middle = 0.5 * (window[0] + window[1])
+    place = place_named(model, where)
+    cos, sin = np.array(amplitudes) / max(float(np.hypot(*amplitudes)), TINY)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        turn = 2 * np.pi * frequency * _since(new, middle)
+        force = new.symbol(names[0]) * (cos * ca.cos(turn) + sin * ca.sin(turn))
+        place.add(new, _on(new) * force)
+
+    amplitude = Parameter("a", place.unit, 0.0)
+    return Effect("periodic_disturbance", place.where, (amplitude,), apply, variant=frequency)
+
+
+def _since(model: Model, instant: float) -> ca.SX:
+    """Seconds of the record's clock since an instant."""
+    since = TimeSince(instant)
+    return model.add_input(Input(f"time since {instant:.9g} s", "s", "generated", "foh", since))
+
+
+def _on(model: Model) -> ca.SX:
+    """One within the record's own clock, zero in a record apart."""
+    return model.add_input(Input("one on this clock", "1", "generated", "foh", Always()))
