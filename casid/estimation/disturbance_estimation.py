@@ -39,8 +39,8 @@ LOWEST_CORNER = 1
 """The same of the corner of a first-order spectrum: what is slower is a walk in this record, which
 one at its lowest corner is as well."""
 LINE = 1.44
-"""Width of a line in one over the length of a record, at half its power under Hann's window (Harris,
-Proc. IEEE 66 (1978) 51-83, table 1)."""
+"""Width of a line at half its power under Hann's window, times the length of the record (Harris,
+Proc. IEEE 66 (1978) 51-83, table 1). A band that is no wider may be one: it is no random force."""
 ROUGHLY = 1e-2
 """Relative change of the spectrum at which its variances are found while spectra are compared: the
 likelihood, at its maximum over the variances, errs by the square of that."""
@@ -49,8 +49,12 @@ TOLERANCE = 1e-4
 FINER = (0.15, 0.05, 0.017)
 """Changes of the logarithm of the frequency, one after another, by which the search goes on beside
 the best of the grid; the last is far less than one record can distinguish."""
+NARROW = (0.006, 0.002)
+"""The same beside a peak whose zeta is less."""
 WIDER = 3.0
 """Times as large are those of the logarithm of the width."""
+LEAST_WIDTH = 0.01
+"""Value of zeta of the narrowest peak; half of a line's where that is less."""
 MOVES = 4
 """Of one such search on to where it gains at its edge, at most."""
 LEAST = 0.05
@@ -163,12 +167,12 @@ def _searched(
     best = search.fitted(chosen)
     if near:
         adjusted = search.adjusted(near)
+        adjusted = {n: s for n, s in adjusted.items() if search.is_resolved(s)}
         least, value = search.fitted(adjusted)
         return search.noise_of(adjusted, value) if least < best[0] else noise
     while True:
         tried = [search.best_beside(chosen, name) for name in places_of_forces(criterion.model)]
-        more = [t for t in tried if t is not None and search.is_resolved(t[2])]
-        more = [t for t in more if search.is_seen(*t[1:])]
+        more = [t for t in tried if t is not None and search.is_seen(*t[1:])]
         top = min(more, key=lambda t: t[0], default=None)
         if top is None or top[0] >= best[0]:
             break
@@ -205,18 +209,28 @@ class _Search:
     def best_beside(
         self, found: Mapping[str, DisturbanceSpectrum], name: str
     ) -> tuple[float, Array, dict[str, DisturbanceSpectrum]] | None:
-        """The best spectrum of one more force: of a grid, and then beside it."""
+        """The best spectrum of one more force: of a grid, and then beside it.
+
+        Where that is as narrow as a line, which hides what else the force does, one without a peak.
+        """
         low, high = self._range(is_peak=True)
         if name in found or not self._is_felt(name) or low >= high:
             return None
-        shapes = [(None, False), *((zeta, band) for zeta in self.widths for band in (False, True))]
-        grid = [
-            DisturbanceSpectrum(float(w), zeta, band)
-            for zeta, band in shapes
-            for w in np.geomspace(*self._range(is_peak=zeta is not None), CORNERS)
+        first = [DisturbanceSpectrum(w) for w in self._corners(is_peak=False)]
+        peaks = [
+            DisturbanceSpectrum(w, zeta, band)
+            for zeta in self.widths
+            for band in (False, True)
+            for w in self._corners(is_peak=True)
         ]
-        chosen = {**found, name: self._finer(*self._best_of(grid, found, name), found, name)}
+        best = self._finer(*self._best_of([*first, *peaks], found, name), found, name)
+        if not self.is_resolved(best):
+            best = self._finer(*self._best_of(first, found, name), found, name)
+        chosen = {**found, name: best}
         return (*self.fitted(chosen), chosen)
+
+    def _corners(self, *, is_peak: bool) -> list[float]:
+        return np.geomspace(*self._range(is_peak=is_peak), CORNERS).tolist()
 
     def adjusted(self, near: Mapping[str, DisturbanceSpectrum]) -> dict[str, DisturbanceSpectrum]:
         """The best spectra beside those given, one force after another."""
@@ -242,9 +256,11 @@ class _Search:
     ) -> DisturbanceSpectrum:
         """The best beside a spectrum whose price is `least`, of a force beside those found."""
         limits = self._range(is_peak=best.damping is not None)
-        for step in FINER:
+        for step in (*FINER, *NARROW):
+            if step in NARROW and (best.damping is None or best.damping > step):
+                break
             for _ in range(MOVES):
-                around = _beside(best, step, limits)
+                around = self._beside(best, step, limits)
                 near, value = self._best_of(around, found, name)
                 if not value < least:
                     break
@@ -281,11 +297,28 @@ class _Search:
             design[:, ny + sources.index(name)] *= self._in_bands([spectrum])[0]
         return design
 
-    def is_resolved(self, found: Mapping[str, DisturbanceSpectrum]) -> bool:
-        """False where a band is as narrow as a line is in the longest record: it may be one."""
-        once = min(2 * np.pi / (n * Ts) for n, Ts in self.records)
-        widths = [2 * s.damping * s.frequency for s in found.values() if s.damping is not None]
-        return all(width > LINE * once for width in widths)
+    def _beside(
+        self, at: DisturbanceSpectrum, step: float, range_of: tuple[float, float]
+    ) -> list[DisturbanceSpectrum]:
+        """Spectra of the same kind whose frequency and width are up to two steps away."""
+        places = np.arange(-2, 3)
+        w = np.clip(at.frequency * np.exp(step * places), *range_of).tolist()
+        if at.damping is None:
+            return [DisturbanceSpectrum(f, None, at.is_band) for f in w]
+        least = min(LEAST_WIDTH, 0.5 * self._damping_of_a_line(at.frequency))
+        widths = np.clip(at.damping * np.exp(WIDER * step * places), least, 1.0).tolist()
+        return [DisturbanceSpectrum(f, zeta, at.is_band) for f in w for zeta in widths]
+
+    def _damping_of_a_line(self, frequency: float) -> float:
+        """The zeta of a band that is as wide as a line in the longest record."""
+        longest = max(n * Ts for n, Ts in self.records)
+        return LINE * np.pi / (frequency * longest)
+
+    def is_resolved(self, spectrum: DisturbanceSpectrum) -> bool:
+        """False of a band that is no wider than a line in the longest record, and may be one."""
+        if spectrum.damping is None:
+            return True
+        return spectrum.damping > self._damping_of_a_line(spectrum.frequency)
 
     def is_seen(self, value: Array, found: Mapping[str, DisturbanceSpectrum]) -> bool:
         """False if a force in a stated rate makes less than `LEAST` of every output."""
@@ -354,18 +387,6 @@ class _Search:
 
     def _is_felt(self, name: str) -> bool:
         return any(r.gain2[:, :, r.sources.index(name)].any() for r in self.noise.responses)
-
-
-def _beside(
-    at: DisturbanceSpectrum, step: float, range_of: tuple[float, float]
-) -> list[DisturbanceSpectrum]:
-    """Spectra of the same kind whose frequency and width are up to two steps away."""
-    places = np.arange(-2, 3)
-    w = np.clip(at.frequency * np.exp(step * places), *range_of).tolist()
-    if at.damping is None:
-        return [DisturbanceSpectrum(f, None, at.is_band) for f in w]
-    widths = np.clip(at.damping * np.exp(WIDER * step * places), 0.01, 1.0).tolist()
-    return [DisturbanceSpectrum(f, zeta, at.is_band) for f in w for zeta in widths]
 
 
 def _is_between(

@@ -270,3 +270,18 @@ def test_a_spectrum_close_by_is_dropped_where_white_noise_is_as_likely():
     near = {"force": DisturbanceSpectrum(0.8)}
     assert not whole.spectra
     assert not with_disturbance_spectra(white, fit.criterion, fit.x, near=near).spectra
+
+
+@pytest.mark.parametrize(("width", "is_random"), [(0.0, False), (0.3, True)])
+def test_a_band_is_wider_than_a_line(width: float, is_random: bool):
+    """A line is 1.44/T wide under Hann's window; 0.3 rad/s are 19 times as much in these 400 s."""
+    rng = np.random.default_rng(4)
+    if is_random:
+        r, w = np.exp(-0.5 * width * TS), 3.0 * TS
+        force = lfilter([1.0], [1.0, -2 * r * np.cos(w), r * r], rng.standard_normal(N))
+        force *= 0.05 / np.std(force)
+    else:
+        force = 0.05 * np.sqrt(2) * np.sin(3.0 * TS * np.arange(N))
+    _, _, found = noise_under(force, rng)
+    peaks = [s for s in found.spectra.values() if s.damping is not None]
+    assert bool(peaks) == is_random

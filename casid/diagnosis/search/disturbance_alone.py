@@ -85,10 +85,10 @@ def _best(at: Weighted, table: ScoreTable) -> list[Effect]:
 
 
 def _lines(at: Weighted, table: ScoreTable) -> list[Effect]:
-    """The lines that the sensors' noise alone would not show, at their phases."""
-    lines = [s for s in table.peaks if isinstance(s.effect.variant, float) and s.effect.kind == "periodic_disturbance"]
-    window = window_of(at)
-    return [
-        sinusoid(at.model, s.effect.where, s.effect.variant, (s.starts["a_cos"], s.starts["a_sin"]), window)
-        for s in lines
-    ]
+    """The lines that the sensors' noise does not explain, at the phases of their scores."""
+    out = []
+    for line in (s for s in table.peaks if s.effect.kind == "periodic_disturbance"):
+        frequency, where = line.effect.parameters[2].start, line.effect.where
+        amplitudes = line.starts["a_cos"], line.starts["a_sin"]
+        out.append(sinusoid(at.model, where, frequency, amplitudes, window_of(at)))
+    return out

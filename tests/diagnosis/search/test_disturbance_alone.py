@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,12 +14,11 @@ from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.evidence.sufficiency import error_over_noise
-from casid.diagnosis.search.disturbance_alone import disturbance_alone, is_resolved
+from casid.diagnosis.search.disturbance_alone import disturbance_alone
 from casid.diagnosis.search.disturbance_price import price_of
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
-from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.holdout import split_records
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -63,17 +61,16 @@ def test_a_model_that_errs_by_many_times_the_noise_is_searched() -> None:
     assert disturbance_alone(search, start, base) is None
 
 
-@pytest.mark.parametrize("width", [0.5, 2.0])
-def test_a_band_that_may_be_a_line_is_searched(width: float) -> None:
-    """A line is as wide as one part in the length of the record; half of that is not resolved."""
-    frequency, length = 1.0, 210.0
-    damping = np.pi * width / (frequency * length)
-    spectra = {"moment": DisturbanceSpectrum(frequency, damping, is_band=True)}
-    data = [SimpleNamespace(N=2100, Ts=0.1)]
-    at: Any = SimpleNamespace(
-        noise=SimpleNamespace(spectra=spectra), criterion=SimpleNamespace(data=data)
-    )
-    assert is_resolved(at) == (width > 1.0)
+@pytest.mark.parametrize("engine", [0.0, 0.04])
+def test_a_line_beside_a_sea_is_sought_and_the_sea_alone_is_not(engine: float) -> None:
+    """In linear waves the line of an engine, in rad/s^2, adds its own response: |1/(iw + B)|."""
+    sea = noisy(record(1))
+    w = 6.0  # rad/s, above the roll and its waves
+    rate = engine / w * np.sin(w * sea.Ts * np.arange(sea.N))
+    roll = -engine / w**2 * np.cos(w * sea.Ts * np.arange(sea.N))
+    moved = {"fin": sea["fin"], "roll": sea["roll"] + roll, "rate": sea["rate"] + rate}
+    search, start, base = started(casid.Record(moved, sea.units, Ts=sea.Ts))
+    assert (disturbance_alone(search, start, base) is None) == (engine > 0)
 
 
 @pytest.mark.slow

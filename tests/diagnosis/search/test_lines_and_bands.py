@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
@@ -16,6 +17,8 @@ from casid.estimation.simulation.minimization import Fit
 from tests.diagnosis.search.test_disturbances import hull, record
 
 TS, N, AMPLITUDE, FREQUENCY = 2.0, 1500, 1.5e-4, 0.0113  # s, 1, m^3/s, Hz
+PARTS = 10  # steps of the simulator a sample
+INSTANTS = np.arange(N * PARTS)
 
 
 def tank() -> casid.Problem:
@@ -31,14 +34,25 @@ def tank() -> casid.Problem:
 
 def pumped(seed: int) -> casid.Record:
     """A tank into which a further pump runs to and fro, 24 times in the fitted part."""
-    rng, parts = np.random.default_rng(seed), 10
+    return filled(seed, AMPLITUDE * np.sin(2 * np.pi * FREQUENCY * TS / PARTS * INSTANTS + 0.7))
+
+
+def leaking(seed: int) -> casid.Record:
+    """A tank whose inflow wanders by itself, slower than the level follows."""
+    rng, pole = np.random.default_rng(100 + seed), np.exp(-TS / PARTS / 200.0)
+    white = AMPLITUDE * np.sqrt(1 - pole**2) * rng.standard_normal(len(INSTANTS))
+    return filled(seed, lfilter([1.0], [1.0, -pole], white))
+
+
+def filled(seed: int, inflow: np.ndarray) -> casid.Record:
+    """The level of a tank with a recorded inflow, and another (m^3/s) at every `INSTANTS`."""
+    rng = np.random.default_rng(seed)
     q = np.repeat(0.02 + 0.005 * rng.standard_normal(N // 50), 50)
-    h, step, level = 1.0, TS / parts, np.empty(N)
-    for i in range(N * parts):
-        if i % parts == 0:
-            level[i // parts] = h
-        pump = AMPLITUDE * np.sin(2 * np.pi * FREQUENCY * i * step + 0.7)
-        h += step * (q[i // parts] + pump - 0.022 * h) / 0.9
+    h, step, level = 1.0, TS / PARTS, np.empty(N)
+    for i in INSTANTS:
+        if i % PARTS == 0:
+            level[i // PARTS] = h
+        h += step * (q[i // PARTS] + inflow[i] - 0.022 * h) / 0.9
     level += 0.002 * rng.standard_normal(N)
     return casid.Record({"q": q, "level": level}, {"q": "m^3/s", "level": "m"}, Ts=TS)
 
@@ -94,7 +108,7 @@ def test_the_likelihood_there_is_the_same_in_whatever_units_the_extension_was_fi
 
 def test_where_the_model_diverges_at_what_an_extension_found_it_is_as_it_was() -> None:
     """A time constant of a fraction of a step, for which the extension alone has the steps."""
-    split = split_records([casid.Experiment(pumped(2), {}, "pump")], 0.3)
+    split = split_records([casid.Experiment(leaking(2), {}, "leak")], 0.3)
     weighing = Weighing(split.fitted).with_disturbances()
     fit = fit_model(tank().model, split.fitted, FitSettings(starts=1))
     best = weighing.weigh(fit.criterion.model, fit, rounds=1)
