@@ -101,6 +101,18 @@ class Clipping:
         0.5, "of the error elsewhere, by which the simulation lies beyond at least", _PLATEAUS
     )
     motion: float = _is(0.1, "of that mean, by which the simulation moves there", _PLATEAUS)
+    far_beyond: float = _is(
+        3.0,
+        "times the error elsewhere, by which the simulation lies beyond a limit that the noise of "
+        "the readings alone shows",
+        f"{TESTS}/evidence/test_plateaus.py",
+    )
+    even: float = _is(
+        0.5,
+        "of the median noise: the quietest windows have more where the sensor's noise is all that "
+        "bends the readings (of white noise 0.8), and less where motion does",
+        f"{TESTS}/evidence/test_plateaus.py",
+    )
     leap: float = _is(
         3.0,
         "times what 95 % of steps stay below: a step that what sticks by friction does not take, "

@@ -17,6 +17,7 @@ from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
 from casid.data.sampling import stretches_of
+from casid.diagnosis.evidence.stuck_sensors import noise_in_windows
 from casid.diagnosis.thresholds import CLIPPING
 
 
@@ -49,10 +50,11 @@ def find_plateaus(
 
     Ties at the end are compared with those of the values next to it: a coarse converter repeats
     all of them, and some more than others (negative binomial). What rests at the end of its travel
-    repeats as well, so one of two more must hold. The simulation lies beyond the limit on those
+    repeats as well, so one of three more must hold. The simulation lies beyond the limit on those
     samples, by more than its error elsewhere explains (a t-test), and moves there. Or the channel
     runs into the limit and out of it at half its usual speed or more, where a motion that comes to
-    rest slows down. A counted channel repeats its end where it only turns (`_turns`).
+    rest slows down. Or all other readings have the same noise, which no rest takes away, and the
+    simulation lies far beyond. A counted channel repeats its end where it only turns (`_turns`).
 
     Parameters
     ----------
@@ -75,7 +77,12 @@ def find_plateaus(
             continue
         elsewhere = [u & ~m for u, m in zip(used, at, strict=True)]
         errors = [y - s for y, s in zip(measured, simulated, strict=True)]
-        if not (_lies_beyond(beyond, errors, elsewhere, at, alpha) or _runs_in(measured, at)):
+        is_limit = (
+            _lies_beyond(beyond, errors, elsewhere, at, alpha)
+            or _runs_in(measured, at)
+            or _lacks_noise(beyond, errors, elsewhere, measured, used)
+        )
+        if not is_limit:
             continue
         ends[side] = side * level
         smallest = min(smallest, p)
@@ -110,14 +117,35 @@ def _lies_beyond(
     errors : (N,) a record, measured less simulated.
     elsewhere, at : (N,) bool, samples beside the limit and at it.
     """
-    other = np.concatenate([r[m] for r, m in zip(errors, elsewhere, strict=True)])
-    size = float(1.4826 * np.median(np.abs(other - np.median(other))))
+    size = _error_size(errors, elsewhere)
     mean, spread = float(beyond.mean()), float(beyond.std(ddof=1))
     if mean < CLIPPING.beyond * size or spread < CLIPPING.motion * mean:
         return False
     count = _independent(errors, elsewhere, at)
     error = np.hypot(spread, size) / np.sqrt(count)
     return float(student.sf(mean / max(error, TINY), max(count - 1.0, 1.0))) < alpha
+
+
+def _lacks_noise(
+    beyond: Array,
+    errors: Sequence[Array],
+    elsewhere: Sequence[Array],
+    measured: Sequence[Array],
+    used: Sequence[Array],
+) -> bool:
+    """True if the noise of all other readings is the same, and the simulation lies far beyond."""
+    if float(beyond.mean()) <= CLIPPING.far_beyond * _error_size(errors, elsewhere):
+        return False
+    noise = noise_in_windows(measured, used)
+    if not len(noise):
+        return False
+    return bool(np.quantile(noise, CLIPPING.quiet_share) > CLIPPING.even * np.median(noise))
+
+
+def _error_size(errors: Sequence[Array], elsewhere: Sequence[Array]) -> float:
+    """Of the simulation, on samples `elsewhere`: the standard deviation, by the median."""
+    other = np.concatenate([r[m] for r, m in zip(errors, elsewhere, strict=True)])
+    return float(1.4826 * np.median(np.abs(other - np.median(other))))
 
 
 def _independent(errors: Sequence[Array], elsewhere: Sequence[Array], at: Sequence[Array]) -> float:

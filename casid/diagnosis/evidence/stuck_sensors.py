@@ -111,15 +111,24 @@ def _has_noise(measured: Sequence[Array], used: Sequence[Array], step: float | N
 def _is_noisy_at_rest(measured: Sequence[Array], used: Sequence[Array], step: float | None) -> bool:
     """True if readings differ by more than a step of the converter wherever they hardly move.
 
-    Windows of equal readings alone are left out: whether these are the sensor's is the question.
+    Whether windows of equal readings alone are the sensor's is the question.
     """
     if step is None:
         return True
-    noise: list[float] = []
+    noise = noise_in_windows(measured, used)
+    return bool(len(noise)) and float(np.quantile(noise, CLIPPING.quiet_share)) > step
+
+
+def noise_in_windows(measured: Sequence[Array], used: Sequence[Array]) -> Array:
+    """(W,) noise of the readings in every window of a channel, by how they bend.
+
+    Without windows of equal readings.
+    """
+    noise = [np.zeros(0)]
     for y, u in zip(measured, used, strict=True):
         kept = y[u]
         windows = kept[: len(kept) // CLIPPING.quiet_window * CLIPPING.quiet_window]
         bends = np.diff(windows.reshape(-1, CLIPPING.quiet_window), 2, axis=1)
-        own = np.sqrt(np.mean(bends**2, axis=1) / 6.0)
-        noise += own[own > 0.0].tolist()
-    return bool(noise) and float(np.quantile(noise, CLIPPING.quiet_share)) > step
+        noise.append(np.sqrt(np.mean(bends**2, axis=1) / 6.0))
+    every = np.concatenate(noise)
+    return np.asarray(every[every > 0.0])

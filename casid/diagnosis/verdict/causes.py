@@ -181,13 +181,18 @@ def _standing(search: Search, still: Standstills) -> Cause:
 
 def _saturation(search: Search, cut: Plateaus) -> Cause:
     """The clipping of a channel, without its share of the misfit."""
+    unit = _unit(search, cut.channel)
+    equal = f"{cut.count} samples equal the limit exactly"
+    if cut.lower is not None and cut.upper is not None:
+        ends = f"{quantity_text(cut.lower, unit)} or {quantity_text(cut.upper, unit)}"
+        equal = f"{cut.count} samples equal one of the limits exactly, {ends}"
     return Cause(
         kind="saturation",
         where=cut.channel,
         p_value=cut.p_value,
-        parameters=(Estimated(f"limit_{cut.channel}", cut.limit, _unit(search, cut.channel)),),
+        parameters=(Estimated(f"limit_{cut.channel}", cut.limit, unit),),
         sentence=says_kind("saturation", cut.channel),
-        description=f"{cut.count} samples equal the limit exactly",
+        description=equal,
     )
 
 

@@ -292,3 +292,22 @@ def test_a_smooth_motion_that_creeps_beyond_its_limit_is_clipped_by_what_the_mod
     assert found is not None
     assert found.upper == limit
     assert np.array_equal(found.masks[0], y >= limit)
+
+
+def creeping(seed: int) -> Array:
+    """A level that goes through one slow wave: it comes to its limit once and stays beyond."""
+    rng = np.random.default_rng(seed)
+    return np.cos(0.0015 * np.arange(4000)) + NOISE * rng.standard_normal(4000)
+
+
+def test_readings_that_lose_their_noise_at_a_limit_are_cut_off_however_slow_the_motion():
+    """One stay beyond the limit is one error of the simulation, but no rest takes the noise."""
+    for seed in range(5):
+        level, simulated = creeping(seed), np.cos(0.0015 * np.arange(4000))
+        found = find(np.maximum(level, -0.6), simulated)
+        assert found is not None
+        assert found.lower == -0.6
+        assert np.array_equal(found.masks[0], level <= -0.6)
+        # Without noise it may rest there, as a float on the ground does.
+        still = np.maximum(np.cos(0.0015 * np.arange(4000)), -0.6)
+        assert find(still, np.where(still > -0.6, still, still - 0.1)) is None
