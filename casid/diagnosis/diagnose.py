@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from casid.data.arguments import Recorded, experiments_of, in_si
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.calibration import Calibration
@@ -22,7 +23,7 @@ from casid.diagnosis.evidence.recorded_channels import with_unused_columns
 from casid.diagnosis.search.findings import Findings, search_causes
 from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
 from casid.diagnosis.thresholds import BUDGET
-from casid.diagnosis.verdict.judgement import judge, notes_on
+from casid.diagnosis.verdict.judgement import Judgement, judge, notes_on
 from casid.diagnosis.verdict.sentences import noise_text
 from casid.errors import OutOfTimeError
 from casid.estimation.estimate import Origin
@@ -152,8 +153,14 @@ def diagnose(
     require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
+    judged = _judged(problem, found, settings)
     notes = _notes_on_written(written)
-    diagnosis = _concluded(problem, found, calibration, settings, plan=advise, notes=notes)
+    if judged.doubts.is_unlike_held_out and not split.apart:
+        whole = _of_whole_records(problem, chosen, settings)
+        if whole is not None:
+            found, judged = whole
+            notes.append(_nothing_held_out(split))
+    diagnosis = _concluded(problem, found, judged, calibration, settings, plan=advise, notes=notes)
     return diagnosis.in_units(found.best_fit.criterion.model.declared_units)
 
 
@@ -183,9 +190,41 @@ def _found(
     return found, calibration
 
 
+def _judged(problem: Problem, found: Findings, settings: DiagnosisSettings) -> Judgement:
+    """The verdict, which may take what is left of the time."""
+    attempts = found.search.attempts
+    attempts.ends = max(settings.ends, attempts.ends)
+    return judge(problem, found, settings.alpha)
+
+
+def _of_whole_records(
+    problem: Problem, chosen: Sequence[Experiment], settings: DiagnosisSettings
+) -> tuple[Findings, Judgement] | None:
+    """Findings and verdict with nothing held out; None where these name no cause.
+
+    What sets in where a record is held out is in no part that was fitted.
+    """
+    settings.progress("diagnose the whole record: what was held out differs from what was fitted")
+    try:
+        found = _searched(problem, split_records(chosen, 0.0), settings)
+        judged = _judged(problem, found, settings)
+    except OutOfTimeError:
+        return None
+    return (found, judged) if judged.causes else None
+
+
+def _nothing_held_out(split: Split) -> str:
+    share = 100 * float(np.mean(~split.held[0]))
+    return (
+        f"the first {share:.0f} % of each record show no model error, and what follows does: the "
+        "causes are those of the whole record, and no part is left to confirm them"
+    )
+
+
 def _concluded(
     problem: Problem,
     found: Findings,
+    judged: Judgement,
     calibration: Calibration | None,
     settings: DiagnosisSettings,
     *,
@@ -197,9 +236,6 @@ def _concluded(
     `notes` are those on the problem, which come after those on the findings.
     """
     false_alarm_rate = settings.alpha
-    attempts = found.search.attempts
-    attempts.ends = max(settings.ends, attempts.ends)
-    judged = judge(problem, found, false_alarm_rate)
     advice = recommend(problem, found, judged, plan=plan)
     remainder = judged.remainder
     # The noise is that beside the disturbances that are reported.
@@ -230,7 +266,7 @@ def _concluded(
             isolability=advice.isolability,
             undetectable=advice.undetectable,
             calibration=calibration,
-            not_done=tuple(attempts.not_done),
+            not_done=tuple(found.search.attempts.not_done),
         ),
         origin=Origin(judged.baseline.provenance, versions(), SOURCES),
         settings=_settings_in_words(found, settings.fit, false_alarm_rate),

@@ -230,7 +230,8 @@ class _Search:
         return (*self.fitted(chosen), chosen)
 
     def _corners(self, *, is_peak: bool) -> list[float]:
-        return np.geomspace(*self._range(is_peak=is_peak), CORNERS).tolist()
+        """Frequencies [rad/s] that a search starts from."""
+        return [float(w) for w in np.geomspace(*self._range(is_peak=is_peak), CORNERS)]
 
     def adjusted(self, near: Mapping[str, DisturbanceSpectrum]) -> dict[str, DisturbanceSpectrum]:
         """The best spectra beside those given, one force after another."""

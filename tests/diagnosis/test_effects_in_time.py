@@ -119,3 +119,19 @@ def test_the_extended_model_begins_the_load_when_the_record_did(tmp_path):
     estimate = casid.identify(extended, record(load=0.2 * (T >= 21.0), seed=1))
     load = next(p for p in estimate.parameters if p.name == "F_0")
     assert load.value == pytest.approx(0.2, abs=4 * load.std_error)
+
+
+@pytest.mark.parametrize("reading", [pytest.param(2e-3, marks=pytest.mark.slow), 0.0])
+def test_what_sets_in_where_a_record_is_held_out_is_found_in_all_of_it(reading: float):
+    """The first 70 % of it, 35 s, show nothing: the record is diagnosed as a whole."""
+    found = casid.diagnose(slide(), record(reading=reading * (T >= 41.0)), advise=False)
+    told = any("no part is left to confirm them" in note for note in found.notes)
+    assert told == bool(reading)
+    if not reading:
+        assert found.verdict == "adequate"
+        return
+    cause = only(found)
+    size, time = cause.parameters
+    assert (cause.kind, cause.where) == ("sensor_bias", "position")
+    assert size.value == pytest.approx(2e-3, abs=4 * size.std_error)
+    assert time.value == pytest.approx(41.0, abs=2 * TS)

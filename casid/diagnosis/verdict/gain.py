@@ -201,7 +201,7 @@ def unlike_held_out(
                 f"the fitted part shows no model error, but the simulation of {output} is wrong by "
                 f"{shown(output, error):.3g} {unit if unit != '1' else ''}".rstrip()
                 + f" where it was not fitted, against {shown(output, inside):.3g} where it was: "
-                "diagnose the whole record (--hold-out 0), or that part of it (--window)"
+                "diagnose what was held out by itself (--window, or its file)"
             )
     return ""
 
@@ -221,7 +221,7 @@ def unlike_beside(at: Weighted, split: Split) -> str:
             return (
                 f"the fitted part shows no model error beside a disturbance, but {output} is "
                 f"{held:.2g} times as far from its prediction where it was not fitted: diagnose "
-                "the whole record (--hold-out 0), or that part of it (--window)"
+                "what was held out by itself (--window, or its file)"
             )
     return ""
 

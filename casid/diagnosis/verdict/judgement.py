@@ -135,9 +135,11 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     causes, remainder = compared or (causes, remainder)
     causes = told_once(negated(causes), found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
-    unlike = unlike_held_out(found, fitted, held, _by_estimates(found, held, baseline))
+    unlike = _unlike(found, fitted, held, baseline, beside)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
-    doubts = _doubts(found, remainder, bounds)
+    doubts = _doubts(
+        found, remainder, bounds, is_unlike=0 < len(unlike) and why_undecided == unlike
+    )
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
@@ -193,6 +195,15 @@ def _is_foretold(found: Findings, remainder: Remainder | None) -> bool:
     return not found.search.attempts.attempt("the comparison with what was held out", far)
 
 
+def _unlike(
+    found: Findings, fitted: Errors, held: Errors, baseline: Estimate, beside: Weighted | None
+) -> str:
+    """Why what was held out contradicts a model that the fitted part does not."""
+    if beside is not None and beside.unbiased is not None:
+        return unlike_beside(beside, found.baseline.split)
+    return unlike_held_out(found, fitted, held, _by_estimates(found, held, baseline))
+
+
 def _by_estimates(found: Findings, held: Errors, baseline: Estimate) -> Mapping[str, float]:
     """What the errors of the estimates may add to what was held out, of the model as it is."""
     if not held:
@@ -246,13 +257,15 @@ def _has_input_noise(at: Weighted) -> bool:
     )
 
 
-def _doubts(found: Findings, remainder: Remainder | None, bounds: Mapping[str, str]) -> Doubts:
+def _doubts(
+    found: Findings, remainder: Remainder | None, bounds: Mapping[str, str], *, is_unlike: bool
+) -> Doubts:
     """What contradicts the model, named or not."""
     apart = disagreements(found.best_fit) if not found.baseline.why_undecided else []
     is_more = (
         remainder is not None and remainder.p_value < remainder.level and not remainder.disturbances
     )
-    return Doubts(is_more, tuple(apart), bounds)
+    return Doubts(is_more, tuple(apart), bounds, is_unlike)
 
 
 def _undecided(
@@ -269,7 +282,6 @@ def _undecided(
     """
     bounds = bounds_met(problem, found.best_fit)
     if beside is not None and beside.unbiased is not None:
-        unlike = unlike_beside(beside, found.baseline.split)
         near = {n: said for n, said in bounds.items() if _is_near_bound(beside.unbiased, n)}
         bounds = near | bounds_met(problem, beside.unbiased)
     why = _why_undecided(found.baseline, unlike, disturbances)

@@ -89,9 +89,10 @@ def sinusoid(
 def _since(model: Model, instant: float) -> ca.SX:
     """Seconds of the record's clock since an instant."""
     since = TimeSince(instant)
-    return model.add_input(Input(f"time since {instant:.9g} s", "s", "generated", "foh", since))
+    entry = Input(f"time since {instant:.9g} s", "s", "generated", "foh", since)
+    return ca.SX(model.add_input(entry))
 
 
 def _on(model: Model) -> ca.SX:
     """One within the record's own clock, zero in a record apart."""
-    return model.add_input(Input("one on this clock", "1", "generated", "foh", Always()))
+    return ca.SX(model.add_input(Input("one on this clock", "1", "generated", "foh", Always())))

@@ -91,7 +91,7 @@ def test_an_error_that_rises_by_a_hundredth_is_not_said_to_rise(after: float, sa
         "gyro is constant, and what moves lies in the held-out part: fit the part that moves "
         "(--window, or --hold-out 0)",
         "the fitted part hides nothing, but the simulation of gyro is wrong where it was not "
-        "fitted: diagnose the whole record (--hold-out 0), or that part of it (--window)",
+        "fitted: diagnose what was held out by itself (--window, or its file)",
     ],
 )
 def test_where_the_reason_carries_its_own_mend_no_longer_record_is_asked_for(why):
