@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 
 from casid.data.arguments import Recorded, experiments_of, in_si
-from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.calibration import Calibration
@@ -153,13 +152,8 @@ def diagnose(
     require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
-    judged = _judged(problem, found, settings)
-    notes = _notes_on_written(written)
-    if judged.doubts.is_unlike_held_out and not split.apart:
-        whole = _of_whole_records(problem, chosen, settings)
-        if whole is not None:
-            found, judged = whole
-            notes.append(_nothing_held_out(split))
+    found, judged, note = _judged_or_whole(problem, found, split, settings)
+    notes = [*_notes_on_written(written), *note]
     diagnosis = _concluded(problem, found, judged, calibration, settings, plan=advise, notes=notes)
     return diagnosis.in_units(found.best_fit.criterion.model.declared_units)
 
@@ -197,28 +191,30 @@ def _judged(problem: Problem, found: Findings, settings: DiagnosisSettings) -> J
     return judge(problem, found, settings.alpha)
 
 
-def _of_whole_records(
-    problem: Problem, chosen: Sequence[Experiment], settings: DiagnosisSettings
-) -> tuple[Findings, Judgement] | None:
-    """Findings and verdict with nothing held out; None where these name no cause.
+def _judged_or_whole(
+    problem: Problem, found: Findings, split: Split, settings: DiagnosisSettings
+) -> tuple[Findings, Judgement, list[str]]:
+    """Findings with their verdict; those of whole records where what was held out alone errs.
 
-    What sets in where a record is held out is in no part that was fitted.
+    What sets in there is in no part that was fitted. The note says that nothing is held out then.
     """
+    judged = _judged(problem, found, settings)
+    if not judged.doubts.is_unlike_held_out or split.apart:
+        return found, judged, []
     settings.progress("diagnose the whole record: what was held out differs from what was fitted")
     try:
-        found = _searched(problem, split_records(chosen, 0.0), settings)
-        judged = _judged(problem, found, settings)
+        again = _searched(problem, split_records(split.whole, 0.0), settings)
+        of_whole = _judged(problem, again, settings)
     except OutOfTimeError:
-        return None
-    return (found, judged) if judged.causes else None
-
-
-def _nothing_held_out(split: Split) -> str:
-    share = 100 * float(np.mean(~split.held[0]))
-    return (
-        f"the first {share:.0f} % of each record show no model error, and what follows does: the "
-        "causes are those of the whole record, and no part is left to confirm them"
+        return found, judged, []
+    if not of_whole.causes:
+        return found, judged, []
+    note = (
+        f"the first {100 * float(np.mean(~split.held[0])):.0f} % of each record show no model "
+        "error, and what follows does: the causes are those of the whole record, and no part is "
+        "left to confirm them"
     )
+    return again, of_whole, [note]
 
 
 def _concluded(
