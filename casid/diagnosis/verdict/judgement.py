@@ -137,9 +137,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = _unlike(found, fitted, held, baseline, beside)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
-    doubts = _doubts(
-        found, remainder, bounds, is_unlike=0 < len(unlike) and why_undecided == unlike
-    )
+    doubts = _doubts(found, remainder, bounds, is_unlike=why_undecided == unlike != "")
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
