@@ -26,7 +26,7 @@ from casid.export.written_equations import (
     written_equations,
 )
 from casid.model.clock_signals import Always, RampOver, StepAt, TimeSince
-from casid.model.formula_text import MODELICA, formula_text, number_text
+from casid.model.formula_text import MODELICA, number_text
 from casid.model.identifiers import identifier
 from casid.model.model import Model
 from casid.model.units import unit_powers
@@ -112,8 +112,7 @@ class _Writer:
 
     def _formula(self, expression: Any, defined: str = "") -> str:
         """An expression, or the definition of a shared part."""
-        parts = self.equations.keys_but(defined)
-        return formula_text(expression, MODELICA, names=self.written, parts=parts)
+        return self.equations.formula(expression, MODELICA, self.written, defined)
 
     def _comments(self) -> list[str]:
         texts = [

@@ -27,7 +27,7 @@ from casid.export.written_equations import (
 from casid.model.clock_signals import ClockSignal
 from casid.model.declarations import Input, Parameter, Stage, State
 from casid.model.effects.effect import KINDS
-from casid.model.formula_text import PYTHON, formula_text, number_text
+from casid.model.formula_text import PYTHON, number_text
 from casid.model.model import Model
 from casid.model.units import from_si
 
@@ -272,8 +272,7 @@ class _Writer:
 
     def _formula(self, expression: Any, defined: str = "") -> str:
         """An expression, or the definition of a shared part."""
-        parts = self.equations.keys_but(defined)
-        return formula_text(expression, PYTHON, names=self.written, parts=parts)
+        return self.equations.formula(expression, PYTHON, self.written, defined)
 
     def _parts(self) -> list[str]:
         return [

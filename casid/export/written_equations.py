@@ -15,7 +15,7 @@ import casadi as ca
 
 from casid.errors import ModelError
 from casid.model.clock_signals import Always, RampOver, StepAt, TimeSince
-from casid.model.formula_text import shared_parts
+from casid.model.formula_text import Notation, formula_text, shared_parts
 from casid.model.identifiers import identifier
 from casid.model.model import Model
 
@@ -63,9 +63,15 @@ class WrittenEquations:
     outputs: Mapping[str, Expr]
     eliminations: tuple[Elimination, ...]
 
-    def keys_but(self, name: str) -> dict[int, str]:
-        """The names of the other parts, with which the part `name` is defined."""
-        return {key: part for key, part in self.keys.items() if part != name}
+    def formula(
+        self, expression: Expr, notation: Notation, names: Mapping[str, str], defined: str = ""
+    ) -> str:
+        """An expression as text, or the definition of the shared part `defined` by the others.
+
+        `names` are those that the symbols of the model have in the text.
+        """
+        others = {key: part for key, part in self.keys.items() if part != defined}
+        return formula_text(expression, notation, names=names, parts=others)
 
 
 def written_equations(model: Model, part: str = "common") -> WrittenEquations:
