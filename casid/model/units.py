@@ -290,6 +290,14 @@ def same_dimension(a: str, b: str) -> bool:
     return parse_unit(a).dimension == parse_unit(b).dimension
 
 
+def is_comparable(a: str, b: str) -> bool:
+    """True if both unit texts can be read and measure the same dimension."""
+    try:
+        return same_dimension(a, b)
+    except UnitError:
+        return False
+
+
 def to_si(values: ArrayLike, unit: str, target_unit: str | None = None) -> NDArray[np.float64]:
     """Convert values written in `unit` to SI.
 

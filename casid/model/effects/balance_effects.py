@@ -12,7 +12,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casid.errors import UnitError
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import (
@@ -27,7 +26,7 @@ from casid.model.effects.names import FLOW
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.model import Model
-from casid.model.units import same_dimension, unit_quotient
+from casid.model.units import is_comparable, same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
 
@@ -293,16 +292,9 @@ def extra_inputs_of(
 def _exchanges(model: Model, balance: str, unit: str) -> bool:
     """True of a channel of the rate's own kind in a balance of no force."""
     rate_unit = model.states[model.balances[balance].rate].unit
-    return not place_named(model, balance).is_mechanical and _is_alike(unit, rate_unit)
+    return not place_named(model, balance).is_mechanical and is_comparable(unit, rate_unit)
 
 
 def _about(coordinate: Expr, point: float) -> Expr:
     """A coordinate counted from an operating point."""
     return coordinate - carrying_unit(point) if point else coordinate
-
-
-def _is_alike(unit: str, other: str) -> bool:
-    try:
-        return same_dimension(unit, other)
-    except UnitError:
-        return False

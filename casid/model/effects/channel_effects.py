@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import casadi as ca
 
-from casid.errors import ModelError, UnitError
+from casid.errors import ModelError
 from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Sizes, switched_on
 from casid.model.effects.names import ACTS_LATE, BESIDE_ITS_ZERO, LATER_THAN_RECORDED, RECORDED_LATE
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Model
-from casid.model.units import same_dimension, unit_quotient
+from casid.model.units import is_comparable, same_dimension, unit_quotient
 
 
 def sensor_bias(model: Model, channel: str) -> Effect:
@@ -421,7 +421,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         effects += [
             cross_axis(model, channel, source, unit)
             for source, unit in beside.items()
-            if source != channel and _is_alike(own, unit)
+            if source != channel and is_comparable(own, unit)
         ]
     for channel, entry in model.inputs.items():
         if entry.kind in ("measured", "known") and not entry.blends:
@@ -456,10 +456,3 @@ def _commands_with_a_zero(model: Model) -> list[str]:
         return len(inside) > 1 or any(any(ca.which_depends(g, signals)) for g in inside)
 
     return [n for n, u in model.inputs.items() if u.kind == "known" and has_a_zero(n)]
-
-
-def _is_alike(unit: str, other: str) -> bool:
-    try:
-        return same_dimension(unit, other)
-    except UnitError:
-        return False
