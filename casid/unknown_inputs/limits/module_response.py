@@ -17,6 +17,7 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial.orders import Layout
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
+from casid.unknown_inputs.limits.second_moments import delay_polynomial
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +120,7 @@ def with_response(
 def _response(layout: Layout, theta: Array, source: str, z: Array) -> tuple[Array, Array]:
     """G = B/(A F) at z, (F,), and its slopes (F, n)."""
     p, i = layout.split(theta), layout.inputs.index(source)
-    A, B, F = (_value(c, z) for c in (p.A, p.B[i], p.F[i]))
+    A, B, F = (delay_polynomial(c, z) for c in (p.A, p.B[i], p.F[i]))
     G = B / (A * F)
     slopes = np.zeros((len(z), layout.n), dtype=complex)
     place: Sequence[str] = layout.names
@@ -130,7 +131,3 @@ def _response(layout: Layout, theta: Array, source: str, z: Array) -> tuple[Arra
     for k in range(1, layout.nf[i] + 1):
         slopes[:, place.index(f"f{k}[{source}]")] = -G * z ** (-k) / F
     return G, slopes
-
-
-def _value(coefficients: Array, z: Array) -> Array:
-    return np.asarray(np.polynomial.polynomial.polyval(1 / z, coefficients))

@@ -19,7 +19,7 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.prediction_error.polynomial.orders import Layout
-from casid.unknown_inputs.limits.second_moments import circle
+from casid.unknown_inputs.limits.second_moments import circle, delay_polynomial
 
 Expr = Any
 
@@ -161,8 +161,8 @@ class PredictionCriterion:
 def _errors(layout: Layout, theta: Array, signals: Array, z: Array) -> tuple[Array, Array]:
     """Responses of eps (M, 1, k) and of -d eps/d theta (M, n, k)."""
     p = layout.split(theta)
-    A, C, D = (_value(c, z) for c in (p.A, p.C, p.D))
-    B, F = [_value(c, z) for c in p.B], [_value(c, z) for c in p.F]
+    A, C, D = (delay_polynomial(c, z) for c in (p.A, p.C, p.D))
+    B, F = [delay_polynomial(c, z) for c in p.B], [delay_polynomial(c, z) for c in p.F]
     y, inputs = signals[:, 0], np.moveaxis(signals[:, 1:], 1, 0)
     modules = [(b / f)[:, None] * u for b, f, u in zip(B, F, inputs, strict=True)]
     inside = A[:, None] * y - sum(modules, np.zeros_like(y))
@@ -177,10 +177,6 @@ def _errors(layout: Layout, theta: Array, signals: Array, z: Array) -> tuple[Arr
     for m, f, nf in zip(modules, F, layout.nf, strict=True):
         rows += [-_delayed(front * m / f[:, None], k, z) for k in range(1, nf + 1)]
     return eps[:, None, :], np.stack(rows, axis=1)
-
-
-def _value(coefficients: Array, z: Array) -> Array:
-    return np.asarray(np.polynomial.polynomial.polyval(1 / z, coefficients))
 
 
 def _delayed(signal: Array, lag: int, z: Array) -> Array:

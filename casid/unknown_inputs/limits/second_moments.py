@@ -159,6 +159,11 @@ def circle(points: int) -> Array:
     return np.asarray(np.exp(2j * np.pi * np.arange(points) / points))
 
 
+def delay_polynomial(coefficients: Array, z: Array) -> Array:
+    """A polynomial in 1/z, constant term first, at points z (F,)."""
+    return np.asarray(np.polynomial.polynomial.polyval(1 / z, coefficients))
+
+
 def settled_response(
     system: LinearSignals,
     atoms: Sequence[Atom],
