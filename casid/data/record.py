@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from casid.arrays import BoolArray, FloatArray
 from casid.data.record_methods import RecordMethods
 from casid.errors import DataError
-from casid.model.quantities import count_text
+from casid.model.quantities import count_text, window_text
 from casid.model.units import parse_unit, si_unit, to_si
 from casid.pickling import PickledByFields
 from casid.presentation import Presented
@@ -240,7 +240,7 @@ class Record(RecordMethods, Presented, PickledByFields):
                 f"with Ts = {self.Ts:g} s. Widen the window to at least two samples."
             )
         cut = slice(first, last + 1)
-        limits = f"{_limit(start)}:{_limit(stop)}"
+        limits = window_text(start, stop)
         return self._derive(
             f"window {limits} s: samples {first} to {last}",
             channels={n: v[cut] for n, v in self.channels.items()},
@@ -348,10 +348,6 @@ class Record(RecordMethods, Presented, PickledByFields):
             f"<Record {self.name}: N = {self.N}, {count_text(len(self.channels), 'channel')} "
             f"({', '.join(self.names)}), Ts = {self.Ts:.6g} s, {self.duration:.6g} s long>"
         )
-
-
-def _limit(x: float) -> str:
-    return f"{x:g}" if np.isfinite(x) else ""
 
 
 def _check_clock(name: str, Ts: object, t0: object) -> None:

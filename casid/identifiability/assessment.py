@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from casid.arrays import finite_or_none
 from casid.deprecation import renamed
 from casid.grouping import Grouped
+from casid.model.quantities import shortened
 from casid.presentation import Presented, present, write
 from casid.saving.saved import Saved
 
@@ -427,13 +428,6 @@ def _direction(direction: NullDirection) -> dict[str, Any]:
             if v is None or v != 0
         },
     }
-
-
-def shortened(names: Sequence[str], most: int = 40) -> str:
-    """Names with commas; of very many the first, and how many more there are."""
-    if len(names) <= most:
-        return ", ".join(names)
-    return f"{', '.join(names[:most])} and {len(names) - most} more"
 
 
 def _are(count: int) -> str:

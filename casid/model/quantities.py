@@ -94,6 +94,18 @@ def growth_text(times: float) -> str:
     )
 
 
+def window_text(start: float, stop: float) -> str:
+    """A window of time [s] as the option --window has it, "10:30"; an open end is left empty."""
+    return ":".join(f"{end:g}" if math.isfinite(end) else "" for end in (start, stop))
+
+
 def count_text(n: int, noun: str) -> str:
     """A number of things, the noun in the plural unless it is one: 0 gaps, 1 gap, 2 gaps."""
     return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
+def shortened(names: Sequence[str], most: int = 40) -> str:
+    """Names with commas; of very many the first, and how many more there are."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[:most])} and {len(names) - most} more"

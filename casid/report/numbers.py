@@ -27,6 +27,11 @@ def value_text(value: float) -> str:
     return f"{value:.6g}" if math.isfinite(value) else "not finite"
 
 
+def share_text(share: float, decimals: int = 1) -> str:
+    """A share (0.25) in per cent (25.0 %)."""
+    return f"{100 * share:.{decimals}f} %"
+
+
 def _decimals(std_error: float) -> int | None:
     """Decimals that show two digits of the error, None where fixed notation gets too long."""
     if not math.isfinite(std_error) or std_error <= 0:

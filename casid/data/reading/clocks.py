@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.faults import Fault, Survey
-from casid.data.reading.sources import limit_text
-from casid.model.quantities import count_text
+from casid.model.quantities import count_text, window_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -155,7 +154,7 @@ def window_rows(
     low, high = float(times.min()), float(times.max())
     slack = (high - low) / max(times.size - 1, 1)
     span = f"{name} runs from {low:.9g} to {high:.9g} s of its own clock"
-    label = f"window {limit_text(start)}:{limit_text(stop)} s"
+    label = f"window {window_text(start, stop)} s"
     problem = remedy = ""
     tiny = 1e-6 * slack
     inside = np.flatnonzero((times >= start - tiny) & (times <= stop + tiny))

@@ -91,8 +91,3 @@ def sha256(path: str | Path) -> str:
     """Return the sha256 of a file's bytes, in hexadecimal."""
     with Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def limit_text(x: float) -> str:
-    """One end of a window [s]; empty where it is open."""
-    return f"{x:g}" if np.isfinite(x) else ""

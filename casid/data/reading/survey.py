@@ -35,13 +35,13 @@ from casid.data.reading.header_units import header_unit
 from casid.data.reading.opening import open_table
 from casid.data.reading.resampling import resampled
 from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_rows
-from casid.data.reading.sources import limit_text, sha256, source_of
+from casid.data.reading.sources import sha256, source_of
 from casid.data.reading.tables import Table
 from casid.data.reading.text_table import NO_NAMES
 from casid.data.reading.unit_of_time import assumed_seconds
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
-from casid.model.quantities import count_text
+from casid.model.quantities import count_text, window_text
 from casid.model.units import parse_unit, si_unit, to_si
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def survey(
         found.times = None if inside is None else found.times[inside]
         if inside is not None:
             rows = rows[inside]
-            steps.append(f"window {_window_text(window)} s: {rows.size} samples")
+            steps.append(f"window {window_text(*window)} s: {rows.size} samples")
     channels = _channels(opened, rows, found, steps, options, skip_text=columns is None)
     _compare_units(opened, found)
     steps += [f"remark: {note}" for note in (*found.notes, *found.doubts)]
@@ -131,7 +131,7 @@ def survey(
         return found
     if not channels.values:
         return found
-    part = f"@{_window_text(window)}" if window is not None else ""
+    part = f"@{window_text(*window)}" if window is not None else ""
     label = options.name or f"{_stem(source)}{part}"
     found.record = _record(channels, found, options, label, steps, clock)
     return found
@@ -483,7 +483,3 @@ def conversion_text(unit: str) -> str:
     parts = [f"times {parsed.factor:.9g}"] if parsed.factor != 1.0 else []
     parts += [f"plus {parsed.offset:.9g}"] if parsed.offset else []
     return f": {', '.join(parts)}" if parts else ""
-
-
-def _window_text(window: tuple[float, float]) -> str:
-    return f"{limit_text(window[0])}:{limit_text(window[1])}"

@@ -17,11 +17,12 @@ from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.header_units import header_unit, likely_reading
-from casid.data.reading.sources import limit_text, source_of
+from casid.data.reading.sources import source_of
 from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.reading.unit_of_time import is_open
 from casid.data.record import Record
 from casid.errors import DataError, nearest
+from casid.model.quantities import window_text
 from casid.model.units import parse_unit, unit_aliases
 
 _HELD = 0.5  # heuristic: in a held command more samples than these repeat the one before ...
@@ -135,7 +136,7 @@ class FileChannels(NamedTuple):
         """The file and its window, as a command takes them."""
         if self.window is None:
             return str(self.path)
-        return f"{self.path}@{limit_text(self.window[0])}:{limit_text(self.window[1])}"
+        return f"{self.path}@{window_text(*self.window)}"
 
     def in_units(self, units: Mapping[str, str]) -> FileChannels:
         """The same with columns, whose values are as in the file, in the units that they fit.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from casid.identifiability.assessment import Answer, Assessment, shortened
+from casid.identifiability.assessment import Answer, Assessment
 from casid.identifiability.records.practical_result import POOR, UNDETERMINED, Row
-from casid.model.quantities import percent_text
+from casid.model.quantities import percent_text, shortened
 from casid.report.document import (
     Banner,
     Bullets,

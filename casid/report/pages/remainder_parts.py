@@ -13,6 +13,7 @@ from casid.report.numbers import (
     number_text,
     p_text,
     plus_minus,
+    share_text,
 )
 from casid.report.texts.diagnosis import effect_in_words
 
@@ -43,8 +44,8 @@ def remaining_parts(d: Diagnosis) -> list[Part]:
         parts.append(Paragraph(f"{test}: p {p_text(r.p_value)}", look="facts"))
     if r.explained:
         rows: list[tuple[Inline, str]] = [
-            *((effect_in_words(e.kind, e.where), _share(e.share)) for e in r.explained),
-            ("unexplained", _share(r.unexplained)),
+            *((effect_in_words(e.kind, e.where), share_text(e.share)) for e in r.explained),
+            ("unexplained", share_text(r.unexplained)),
         ]
         caption = "Share of the excess misfit"
         parts.append(Table(("cause", "share"), rows, numbers=(1,), caption=caption))
@@ -58,7 +59,7 @@ def small_remainders(d: Diagnosis) -> list[Part]:
     if not d.remainders:
         return []
     rows = [
-        (effect_in_words(c.kind, c.where), _share(c.share), p_text(c.p_value), c.description)
+        (effect_in_words(c.kind, c.where), share_text(c.share), p_text(c.p_value), c.description)
         for c in d.remainders
     ]
     caption = (
@@ -81,7 +82,7 @@ def disturbance_parts(d: Diagnosis) -> list[Part]:
             each.unit,
             "\u2013" if each.peak is None else quantity_text(each.peak, "Hz"),
             "all frequencies" if each.bandwidth is None else quantity_text(each.bandwidth, "Hz"),
-            _share(each.share),
+            share_text(each.share),
         )
         for each in d.disturbances
     ]
@@ -107,7 +108,3 @@ def moved_table(d: Diagnosis) -> Table:
         caption="Estimates without and with the named causes. Bias removed: the error that leaving "
         "them out had caused; moved: in standard errors of the estimate after",
     )
-
-
-def _share(share: float) -> str:
-    return f"{100 * share:.1f} %"

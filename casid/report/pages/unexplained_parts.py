@@ -7,7 +7,7 @@ from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.errors import UnitError
 from casid.model.units import quantity_of
 from casid.report.document import Part, Table
-from casid.report.numbers import number_text, p_text
+from casid.report.numbers import number_text, p_text, share_text
 
 
 def unexplained_parts(d: Diagnosis) -> list[Part]:
@@ -21,7 +21,7 @@ def unexplained_parts(d: Diagnosis) -> list[Part]:
             Table(
                 ("depends on", "share of the remainder", "family-wise p", "could also depend on"),
                 [
-                    (x.words, _share(x.share), p_text(x.p_value), _rivals(x.rivals))
+                    (x.words, share_text(x.share, 0), p_text(x.p_value), _rivals(x.rivals))
                     for x in u.best.dependences
                 ],
                 numbers=(1, 2),
@@ -33,7 +33,7 @@ def unexplained_parts(d: Diagnosis) -> list[Part]:
             (
                 p.place,
                 f"a missing {_quantity(p.unit)}" if p.is_balance else "an error of the sensor",
-                _share(p.explained),
+                share_text(p.explained, 0),
                 number_text(p.score),
             )
             for p in u.places
@@ -73,10 +73,6 @@ def _tests_table(t: ResidualTests) -> Table:
     ]
     caption = f"The remainder, by tests of the residual: {t.verdict}"
     return Table(("", "p"), rows, numbers=(1,), caption=caption)
-
-
-def _share(share: float) -> str:
-    return f"{100 * share:.0f} %"
 
 
 def _rivals(rivals: tuple[tuple[str, ...], ...]) -> str:

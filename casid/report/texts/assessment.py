@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from casid.identifiability.assessment import Answer, Assessment, shortened
+from casid.identifiability.assessment import Answer, Assessment
+from casid.model.quantities import shortened
 from casid.report.document import Document, labelled
 
 _LISTED = 12  # fixing sets

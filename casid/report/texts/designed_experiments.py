@@ -15,7 +15,7 @@ from casid.experiment_design.designed_experiment import (
 )
 from casid.experiment_design.thresholds import DESIGN
 from casid.report.document import Document, Part, Table, labelled
-from casid.report.numbers import number_text, value_text
+from casid.report.numbers import number_text, share_text, value_text
 
 
 def design_document(found: DesignedExperiment) -> Document:
@@ -42,8 +42,8 @@ def outcome_table(found: DesignedExperiment) -> Table:
                 o.words,
                 hypothesis_words(o.rival),
                 number_text(o.energy),
-                _percent(o.power),
-                _percent(o.standard),
+                share_text(o.power),
+                share_text(o.standard),
             ),
             *([f"{o.right} of {o.runs}"] if o.runs else []),
             *([_diagnosed(o)] if is_diagnosed else []),
@@ -117,10 +117,6 @@ def _span(low: float, high: float) -> str:
 
 def _span_used(use: LimitUse) -> str:
     return f"{use.lowest:.5g} .. {use.highest:.5g}"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
 
 
 def _error(error: float | None) -> str:

@@ -13,7 +13,7 @@ from casid.diagnosis.facts import Facts
 from casid.diagnosis.verdict.cause import NOT_ACCEPTED
 from casid.estimation.estimate import Estimated
 from casid.model.effects.names import effect_words
-from casid.model.quantities import count_text, instant_text
+from casid.model.quantities import count_text, instant_text, shortened
 from casid.report.document import Code, Document, Identifier, Labelled, Table, labelled
 from casid.report.numbers import number_text
 
@@ -42,12 +42,14 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
         # The size of the misfit may separate them all the same: rivals stand beside their cause.
         named = {(c.kind, c.where) for c in d.causes}
         groups = [g for g in d.isolability.groups if named & set(g)]
-        parts += [("nearly alike", _first([effect_words(*k) for k in g])) for g in groups]
+        for group in groups:
+            words = [effect_words(*key) for key in group]
+            parts.append(("nearly alike", shortened(words, _LISTED)))
     parts += [("noise", f"{k}: {v}") for k, v in d.noise.items()]
     for is_structural, record in ((True, "any record of these channels"), (False, "this record")):
         names = [i.words for i in d.undetectable if i.is_structural == is_structural]
         if names:
-            parts.append(("undetectable", f"in {record}: {_first(names)}"))
+            parts.append(("undetectable", f"in {record}: {shortened(names, _LISTED)}"))
     if d.calibration is not None:
         parts += labelled("false alarms", (d.calibration.sentence, *d.calibration.notes))
     parts += [("note", n) for n in _notes(d)]
@@ -143,11 +145,6 @@ def _apart(a: float, b: float) -> tuple[str, str]:
     if 0.0 < apart < largest < math.inf:
         digits = max(4, math.floor(math.log10(largest)) - math.floor(math.log10(apart)) + 2)
     return f"{a:.{min(digits, 9)}g}", f"{b:.{min(digits, 9)}g}"
-
-
-def _first(names: list[str]) -> str:
-    more = len(names) - _LISTED
-    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def isolability_document(found: Isolability) -> Document:

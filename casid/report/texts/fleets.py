@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from casid.estimation.estimate import Estimated
 from casid.fleets.findings import Finding
 from casid.fleets.fleet import Fleet
 from casid.fleets.random_effects import ParameterEffects
 from casid.model.effects.names import effect_words
-from casid.model.quantities import count_text
+from casid.model.quantities import count_text, shortened
 from casid.report.document import Document, Table, labelled
 from casid.report.numbers import number_text, plus_minus
 
@@ -84,12 +84,8 @@ def unlabelled_text(fleet: Fleet) -> list[str]:
     what = "its path or columns do" if len(names) == 1 else f"{len(names)} records, whose"
     if len(names) == 1:
         return [f"{names[0]}: {what} not say the asset, which is listed as unknown"]
-    return [f"{what} paths or columns do not say the asset: {_few(names)}, listed as unknown"]
-
-
-def _few(names: Sequence[str]) -> str:
-    more = len(names) - _REASONS
-    return ", ".join(names[:_REASONS]) + (f" and {more} more" if more > 0 else "")
+    listed = shortened(names, _REASONS)
+    return [f"{what} paths or columns do not say the asset: {listed}, listed as unknown"]
 
 
 def counts_text(fleet: Fleet) -> str:
