@@ -206,10 +206,11 @@ def unlike_held_out(
     return ""
 
 
-def unlike_beside(at: Weighted, split: Split) -> str:
-    """The same of a model under a disturbance, by what its past does not predict of the errors.
+def unlike_under_disturbance(at: Weighted, split: Split) -> str:
+    """As `unlike_held_out`, of a model under a disturbance: the innovations are compared.
 
-    A narrow disturbance has few independent samples: its own size varies from part to part.
+    A narrow-band disturbance has few independent samples, so the RMS simulation error differs from
+    part to part by chance; the errors that their past does not predict are nearly independent.
     """
     assert at.unbiased is not None
     found = simulation_errors(at.unbiased, split, at.criterion.weights, at.noise)

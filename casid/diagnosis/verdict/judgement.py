@@ -23,11 +23,11 @@ from casid.diagnosis.verdict.gain import (
     chance_by_estimates,
     chance_over_floor,
     errors_of,
-    unlike_beside,
     unlike_held_out,
+    unlike_under_disturbance,
     views,
 )
-from casid.diagnosis.verdict.not_accepted import refusal_notes, told_once
+from casid.diagnosis.verdict.not_accepted import refusal_notes, with_refusal_reasons
 from casid.diagnosis.verdict.open_set import (
     Remainder,
     described,
@@ -106,12 +106,12 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         test = partial(tested_remainder, found.at, found.search, found.adopted)
         remainder = attempt("the test of the remainder", test)
     disturbances = remainder.disturbances if remainder is not None else ()
-    # Causes found beside a disturbance explain what it leaves.
-    is_beside = bool(disturbances) or bool(found.adopted and found.at.noise.spectra)
-    fitted, held = _errors(found, with_disturbances=is_beside)
+    # Causes found under a disturbance explain what it leaves.
+    is_disturbed = bool(disturbances) or bool(found.adopted and found.at.noise.spectra)
+    fitted, held = _errors(found, with_disturbances=is_disturbed)
     part = held if held.get("extended_rmse") else fitted
     # What is held out has another disturbance in it, but one that its past foretells.
-    is_random = is_beside and _is_foretold(found, remainder)
+    is_random = is_disturbed and _predicts_held_out(found, remainder)
     causes = causes_of(found, extended or baseline, problem.columns())
     negated = partial(_with_the_sign, found)
     remaining = _remaining(
@@ -128,12 +128,12 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
         # A parameter held at its bound leaves misfit of its own: it is named first.
         causes = with_the_unknown(
-            causes, remainder, remaining, found.search.refused, is_beside=is_beside
+            causes, remainder, remaining, found.search.refused, is_disturbed=is_disturbed
         )
     compare = partial(_compared_with_functions, found, causes, remainder)
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)
-    causes = told_once(negated(causes), found.search.refused)
+    causes = with_refusal_reasons(negated(causes), found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = _unlike(found, fitted, held, baseline, beside)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
@@ -180,16 +180,17 @@ def _extended(problem: Problem, found: Findings, baseline: Estimate) -> Estimate
     return replace(extended, model=extended_model(found, extended.model, baseline.model))
 
 
-def _is_foretold(found: Findings, remainder: Remainder | None) -> bool:
-    """False where causes beside a disturbance do not foretell what was held out as they fit.
+def _predicts_held_out(found: Findings, remainder: Remainder | None) -> bool:
+    """False where the held-out errors of a model under a disturbance exceed the fitted ones.
 
-    A law that holds in the fitted part alone leaves there what a small disturbance absorbs.
+    A law that is valid in the fitted part alone leaves an error there that a small disturbance
+    absorbs, and a large one in what was held out.
     """
     beside = remainder.beside if remainder is not None else None
     at = beside or found.at
     if not found.adopted or at.unbiased is None:
         return True
-    far = partial(unlike_beside, at, found.baseline.split)
+    far = partial(unlike_under_disturbance, at, found.baseline.split)
     return not found.search.attempts.attempt("the comparison with what was held out", far)
 
 
@@ -198,7 +199,7 @@ def _unlike(
 ) -> str:
     """Why what was held out contradicts a model that the fitted part does not."""
     if beside is not None and beside.unbiased is not None:
-        return unlike_beside(beside, found.baseline.split)
+        return unlike_under_disturbance(beside, found.baseline.split)
     return unlike_held_out(found, fitted, held, _by_estimates(found, held, baseline))
 
 

@@ -21,7 +21,7 @@ _Identity = tuple[str, str, str]  # kind, place and description
 _UNDER_THE_NOISE = "explains the misfit better under the noise model"
 
 
-def told_once(causes: Sequence[Cause], refused: Refused) -> list[Cause]:
+def with_refusal_reasons(causes: Sequence[Cause], refused: Refused) -> list[Cause]:
     """The causes with every alternative once, those that were refused with the reason."""
     reasons = {i: why for c, why in refused for i in _identities(c.effect)}
     return [replace(c, alternatives=tuple(_alternatives(c, reasons))) for c in causes]

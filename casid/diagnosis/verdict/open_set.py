@@ -163,14 +163,14 @@ def with_the_unknown(
     remaining: Remaining | None,
     refused: Sequence[tuple[Candidate, str]] = (),
     *,
-    is_beside: bool = False,
+    is_disturbed: bool = False,
 ) -> list[Cause]:
     """The causes with one of kind "unknown", where the remainder is too large for a named cause.
 
     Parameters
     ----------
-    is_beside : the causes were found beside a random disturbance. How large it is by itself is
-        known no better than a record holds many of its periods: they stay named.
+    is_disturbed : the causes were found together with a random disturbance, and stay named: its
+        variance, and so the share that they leave, is uncertain where a record has few periods.
     refused : candidates that were significant but not adopted, and why, the best first: where
         nothing is named, the nearest of the catalogue.
     """
@@ -178,7 +178,7 @@ def with_the_unknown(
     assert found is not None
     share = remaining.unexplained if remaining is not None else 1.0
     named = [c for c in causes if c.kind not in OF_SAMPLES]
-    if named and (is_beside or share < JUDGING.doubtful):
+    if named and (is_disturbed or share < JUDGING.doubtful):
         return list(causes)
     where = found.where or (named[0].where if named else ANYWHERE)
     alternatives: tuple[Alternative, ...] = ()

@@ -67,7 +67,7 @@ def thumbnail(figure: Any, caption: str) -> Html:
     for trace in figure.data:
         if trace.visible is not False and trace.type in _DRAWN:
             panels.setdefault((trace.xaxis or "x", trace.yaxis or "y"), []).append(trace)
-    longest = max((len(v) for t in figure.data for v in _names_beside(t, layout)), default=6)
+    longest = max((len(v) for t in figure.data for v in _axis_labels(t, layout)), default=6)
     margin = 8.0 + 6.0 * min(longest, _LONGEST)
     drawn = [_panel(layout, n, traces, (margin, height)) for n, traces in panels.items()]
     names = {t.name: _colour(t) for t in figure.data if t.name and t.showlegend is not False}
@@ -81,8 +81,8 @@ def thumbnail(figure: Any, caption: str) -> Html:
     )
 
 
-def _names_beside(trace: Any, layout: Any) -> Sequence[str]:
-    """Texts beside the vertical axis of a trace; numbers are short."""
+def _axis_labels(trace: Any, layout: Any) -> Sequence[str]:
+    """Labels of the vertical axis of a trace that are texts; numbers are short."""
     axis = layout[f"yaxis{(trace.yaxis or 'y')[1:]}"]
     if axis.ticktext is not None:
         return [_words(text) for text in axis.ticktext]

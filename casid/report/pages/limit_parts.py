@@ -19,10 +19,10 @@ def inseparable(d: Diagnosis) -> Table | str | None:
     for c in d.causes:
         same = ("indistinguishable from ", *effect_in_words(c.kind, c.where, c.description))
         for a in c.alternatives:
-            listed.add(_told(a.kind, a.where))
+            listed.add(_without_function(a.kind, a.where))
             rows.append((effect_in_words(a.kind, a.where, a.description), same, a.why))
     for r in d.ranking:
-        if r.status == "cannot be rejected" and _told(r.kind, r.where) not in listed:
+        if r.status == "cannot be rejected" and _without_function(r.kind, r.where) not in listed:
             rows.append((effect_in_words(r.kind, r.where), r.status, r.why))
     for r in d.ranking:
         if r.status == "invisible" and not d.undetectable:  # else they have a section of their own
@@ -35,8 +35,8 @@ def inseparable(d: Diagnosis) -> Table | str | None:
     return Table(("effect", "what", "why"), rows, caption=caption)
 
 
-def _told(kind: str, where: str) -> tuple[str, str]:
-    """Kind and place as alternatives have them: the function of an unknown one is described."""
+def _without_function(kind: str, where: str) -> tuple[str, str]:
+    """Kind and place as alternatives have them, where the place of an unknown has no function."""
     return kind, where.partition(": ")[0] if kind == "unknown" else where
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.verdict.cause import NOT_ACCEPTED, SIMILAR
-from casid.diagnosis.verdict.not_accepted import refusal_notes, told_once
+from casid.diagnosis.verdict.not_accepted import refusal_notes, with_refusal_reasons
 from casid.model.effects.names import LATER_THAN_RECORDED
 
 WHY = "it does not lower the error of the fitted part"
@@ -29,7 +29,7 @@ def test_an_effect_that_several_rounds_refuse_has_one_note():
 
 def test_an_alternative_that_was_refused_says_why_and_no_note_repeats_it():
     rows = [refused("sensor_lag", "y"), refused("sensor_bias", "y")]
-    (cause,) = told_once([NAMED], rows)
+    (cause,) = with_refusal_reasons([NAMED], rows)
     (a,) = cause.alternatives
     assert a.why == (
         "explains the misfit better under the noise model (BIC 277.9 better), but was not "
@@ -43,12 +43,14 @@ def test_what_was_named_after_all_has_no_note_that_it_was_not_accepted():
 
 
 def test_an_alternative_that_was_not_refused_keeps_its_words():
-    assert told_once([NAMED], [refused("sensor_lag", "x")]) == [NAMED]
+    assert with_refusal_reasons([NAMED], [refused("sensor_lag", "x")]) == [NAMED]
 
 
 def test_the_reason_stands_once_where_the_alternative_begins_with_it():
     near = Alternative("sensor_lag", "y", 1.0, f"{SIMILAR} it makes the held-out error worse")
-    (cause,) = told_once([Cause("unknown", "y", 1e-3, (), (near,))], [refused("sensor_lag", "y")])
+    (cause,) = with_refusal_reasons(
+        [Cause("unknown", "y", 1e-3, (), (near,))], [refused("sensor_lag", "y")]
+    )
     assert cause.alternatives == (near,)
 
 
@@ -56,14 +58,14 @@ def test_the_reason_stands_once_where_the_alternative_begins_with_it():
 def test_an_alternative_stands_once_and_its_variants_each(description: str, count: int):
     """Two searches may find it, with gains of their own."""
     again = Alternative("sensor_lag", "y", 0.5, "explains the misfit as well", description)
-    (cause,) = told_once([Cause("offset", "torque", 1e-9, (), (BETTER, again))], [])
+    (cause,) = with_refusal_reasons([Cause("offset", "torque", 1e-9, (), (BETTER, again))], [])
     assert cause.alternatives == (BETTER, again)[:count]
 
 
 def test_the_late_input_is_known_by_its_description_and_by_its_shape():
     late = refused("time_delay", "v", shape="acts late", description=LATER_THAN_RECORDED)
     rival = Alternative("time_delay", "v", 0.5, "explains the misfit as well", LATER_THAN_RECORDED)
-    (cause,) = told_once([Cause("offset", "torque", 1e-9, (), (rival,))], [late])
+    (cause,) = with_refusal_reasons([Cause("offset", "torque", 1e-9, (), (rival,))], [late])
     assert cause.alternatives[0].why.endswith(f"but was not accepted: {WHY}")
     (note,) = refusal_notes([late])
     assert note.startswith(f"dead time of v (it acts late) {NOT_ACCEPTED}")

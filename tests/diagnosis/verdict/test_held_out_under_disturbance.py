@@ -1,4 +1,4 @@
-"""Causes beside a disturbance that hold in the fitted part alone: what is held out says so."""
+"""Causes under a disturbance that are valid in the fitted part alone: held-out errors show it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.verdict.judgement import _is_foretold
+from casid.diagnosis.verdict.judgement import _predicts_held_out
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
@@ -40,8 +40,8 @@ def record(seed: int, changed: float) -> casid.Record:
     return casid.Record({"u": u, "y": y}, {"u": "1", "y": "1"}, Ts=TS)
 
 
-@pytest.mark.parametrize(("changed", "is_foretold"), [(1.0, True), (0.5, False)])
-def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(changed: float, is_foretold: bool):
+@pytest.mark.parametrize(("changed", "is_predicted"), [(1.0, True), (0.5, False)])
+def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(changed: float, is_predicted: bool):
     split = split_records([casid.Experiment(record(2, changed), {}, "r")], 0.3)
     weighing = Weighing(split.fitted)
     fit = fit_model(model(), split.fitted, FitSettings(starts=1, substeps=1))
@@ -50,7 +50,7 @@ def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(changed: float, 
     search = Search(weighing, {})
     baseline = SimpleNamespace(split=split)
     found: Any = SimpleNamespace(adopted=(object(),), at=at, baseline=baseline, search=search)
-    assert _is_foretold(found, None) is is_foretold
+    assert _predicts_held_out(found, None) is is_predicted
     # Without causes there is a verdict of its own for it.
     found.adopted = ()
-    assert _is_foretold(found, None)
+    assert _predicts_held_out(found, None)
