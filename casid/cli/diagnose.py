@@ -64,7 +64,7 @@ def diagnose(problem: str, **given: Any) -> None:
     require_settings(model, search.false_alarm_rate, search.max_causes, search.without)
     with output.work(model.name) as (folder, progress):
         fitted, hold_out = request.experiments(model)
-        output.say_what_was_read([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
+        output.print_provenance([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
         from casid.diagnosis.diagnose import diagnose as run
 
         calibrated = workers(search.jobs, None) if search.calibrate else contextlib.nullcontext()

@@ -64,7 +64,7 @@ def identifiability(problem: str, seed: int, **given: Any) -> None:
         experiments = None
         if not is_equation_file(problem) and (request.data or subject.example is not None):
             experiments, _ = request.experiments(subject)
-            output.say_what_was_read(experiments)
+            output.print_provenance(experiments)
         with interruptible():
             result = assess_identifiability(
                 subject,

@@ -113,7 +113,7 @@ def identify(problem: str, **given: Any) -> None:
     owned = own_parameters(model, search.own)
     with output.work(model.name) as (folder, progress):
         fitted, hold_out = request.experiments(model)
-        output.say_what_was_read([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
+        output.print_provenance([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
         from casid.data.files import write_text
         from casid.estimation.simulation.budget import fit_budget
         from casid.identification.identify import identify as run

@@ -60,7 +60,7 @@ def investigate(problem: str, **given: Any) -> None:
                 "--hold-out names a file; an investigation takes records one after another, and "
                 "holds a share of each out: --hold-out 0.3, or 0 to fit everything"
             )
-        output.say_what_was_read(fitted)
+        output.print_provenance(fitted)
         from casid.diagnosis.investigation import investigate as run
 
         found = run(

@@ -61,7 +61,7 @@ class Output:
         ):
             yield Work(folder, progress)
 
-    def say_what_was_read(self, experiments: Iterable[Experiment]) -> None:
+    def print_provenance(self, experiments: Iterable[Experiment]) -> None:
         """Write on standard error what was read from the files of these experiments, and how."""
         for experiment in () if self.quiet else experiments:
             steps = experiment.record.provenance

@@ -171,7 +171,7 @@ def _searched(
         least, value = search.fitted(adjusted)
         return search.noise_of(adjusted, value) if least < best[0] else noise
     while True:
-        tried = [search.best_beside(chosen, name) for name in places_of_forces(criterion.model)]
+        tried = [search.best_additional(chosen, name) for name in places_of_forces(criterion.model)]
         more = [t for t in tried if t is not None and search.is_seen(*t[1:])]
         top = min(more, key=lambda t: t[0], default=None)
         if top is None or top[0] >= best[0]:
@@ -201,12 +201,12 @@ class _Search:
         return whittle(spectra, value) + self._price(found), value
 
     def _price(self, found: Mapping[str, DisturbanceSpectrum]) -> float:
-        """Schwarz's, of the parameters of the spectra, and of variances that no white noise has."""
+        """The BIC penalty, in nats: parameters of the spectra, variances that white noise lacks."""
         count = sum(1 if s.damping is None else 2 for s in found.values())
         count += len(self._in_rates(found))
         return 0.5 * count * float(np.log(max(self.white.count.sum(), 2.0)))
 
-    def best_beside(
+    def best_additional(
         self, found: Mapping[str, DisturbanceSpectrum], name: str
     ) -> tuple[float, Array, dict[str, DisturbanceSpectrum]] | None:
         """The best spectrum of one more force: of a grid, and then beside it.
@@ -223,9 +223,9 @@ class _Search:
             for band in (False, True)
             for w in self._corners(is_peak=True)
         ]
-        best = self._finer(*self._best_of([*first, *peaks], found, name), found, name)
+        best = self._refined(*self._best_of([*first, *peaks], found, name), found, name)
         if not self.is_resolved(best):
-            best = self._finer(*self._best_of(first, found, name), found, name)
+            best = self._refined(*self._best_of(first, found, name), found, name)
         chosen = {**found, name: best}
         return (*self.fitted(chosen), chosen)
 
@@ -234,12 +234,12 @@ class _Search:
         return [float(w) for w in np.geomspace(*self._range(is_peak=is_peak), CORNERS)]
 
     def adjusted(self, near: Mapping[str, DisturbanceSpectrum]) -> dict[str, DisturbanceSpectrum]:
-        """The best spectra beside those given, one force after another."""
+        """The spectra refined from those in `near`, one force after another, the others held."""
         found = dict(near)
         for name, spectrum in near.items():
             others = {n: s for n, s in found.items() if n != name}
             start = self._best_of([spectrum], others, name)
-            found[name] = self._finer(*start, others, name)
+            found[name] = self._refined(*start, others, name)
         return found
 
     def _range(self, *, is_peak: bool) -> tuple[float, float]:
@@ -248,20 +248,20 @@ class _Search:
         high = 0.5 * np.pi / min(Ts for _, Ts in self.records)
         return once * (LOWEST if is_peak else LOWEST_CORNER), high
 
-    def _finer(
+    def _refined(
         self,
         best: DisturbanceSpectrum,
         least: float,
         found: Mapping[str, DisturbanceSpectrum],
         name: str,
     ) -> DisturbanceSpectrum:
-        """The best beside a spectrum whose price is `least`, of a force beside those found."""
+        """The best spectrum near `best`, of criterion `least`, of a force added to `found`."""
         limits = self._range(is_peak=best.damping is not None)
         for step in (*FINER, *NARROW):
             if step in NARROW and (best.damping is None or best.damping > step):
                 break
             for _ in range(MOVES):
-                around = self._beside(best, step, limits)
+                around = self._neighbours(best, step, limits)
                 near, value = self._best_of(around, found, name)
                 if not value < least:
                     break
@@ -276,7 +276,7 @@ class _Search:
         found: Mapping[str, DisturbanceSpectrum],
         name: str,
     ) -> tuple[DisturbanceSpectrum, float]:
-        """The likeliest spectrum of a force beside those found, and its price."""
+        """The candidate of least criterion for a force added to `found`, and the criterion."""
         sources = self._sources({**found, name: candidates[0]})
         every = np.repeat(self._design(sources, found)[None], len(candidates), axis=0)
         every[:, :, len(self.outputs) + sources.index(name)] *= self._in_bands(candidates)
@@ -298,7 +298,7 @@ class _Search:
             design[:, ny + sources.index(name)] *= self._in_bands([spectrum])[0]
         return design
 
-    def _beside(
+    def _neighbours(
         self, at: DisturbanceSpectrum, step: float, range_of: tuple[float, float]
     ) -> list[DisturbanceSpectrum]:
         """Spectra of the same kind whose frequency and width are up to two steps away."""

@@ -36,7 +36,7 @@ from casid.diagnosis.evidence.prewhitening import (
     Weighted,
     not_below,
 )
-from casid.diagnosis.evidence.recorded_channels import recorded_beside, with_unused_columns
+from casid.diagnosis.evidence.recorded_channels import varying_channels, with_unused_columns
 from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
@@ -136,7 +136,7 @@ class Screen:
         fit = weighted_by_errors(fit, settings)
         weighing = Weighing([record], known_noise=problem.noise)
         at = weighing.weigh(problem.model, fit, rounds=1)
-        channels = recorded_beside(problem, [record])
+        channels = varying_channels(problem, [record])
         effects = catalogue(
             at.model,
             sizes_of(at, channels),
@@ -151,7 +151,7 @@ class Screen:
         """Screen one record."""
         try:
             problem, record = _prepared(self.declared, experiment)
-            if dict(recorded_beside(problem, [record])) != dict(self.channels):
+            if dict(varying_channels(problem, [record])) != dict(self.channels):
                 return Screened(0.0, "it has other channels than the asset's reference")
             with np.errstate(all="ignore"):
                 return self._screened(record)
@@ -171,16 +171,18 @@ class Screen:
         x = _minimum(criterion, {})
         if x is None:
             # A sea may move the roll so that the simulation errs least far from the truth.
-            beside = self._beside_disturbances(record, criterion, criterion.start, is_far=True)
-            return beside or Screened(0.0, _FAR)
+            disturbed = self._screened_under_disturbance(
+                record, criterion, criterion.start, is_far=True
+            )
+            return disturbed or Screened(0.0, _FAR)
         fit = replace(self.at.fit, criterion=criterion, solution=replace(self.at.fit.solution, x=x))
         if self._is_spoilt(fit, record):
             return Screened(0.0, "some of its samples are faulty")
         at = Weighing([record], known_noise=self.problem.noise).estimated(fit)
         if at.noise_absorbs_misfit:
-            beside = self._beside_disturbances(record, criterion, x)
-            if beside is not None:
-                return beside
+            disturbed = self._screened_under_disturbance(record, criterion, x)
+            if disturbed is not None:
+                return disturbed
         plain = criterion
         criterion = base.of_records(
             [record], weights=base.weights, whiten=at.full.whiten, start=fit.values
@@ -190,9 +192,9 @@ class Screen:
             return Screened(0.0, _FAR)
         if at.noise_absorbs_misfit:
             # Far from the truth a residual may show no disturbance, which it shows next to it.
-            beside = self._beside_disturbances(record, plain, own_fit)
-            if beside is not None:
-                return beside
+            disturbed = self._screened_under_disturbance(record, plain, own_fit)
+            if disturbed is not None:
+                return disturbed
         found = self._scored(criterion, own_fit, at)
         if not at.noise_absorbs_misfit:
             return replace(found, p_value=min(found.p_value, self._lines(criterion, own_fit)))
@@ -201,13 +203,13 @@ class Screen:
             found, p_value=min(1.0, lines, 2.0 * min(found.p_value, self._taken_out(at)))
         )
 
-    def _beside_disturbances(
+    def _screened_under_disturbance(
         self, record: Experiment, criterion: SimulationError, x: Array, *, is_far: bool = False
     ) -> Screened | None:
-        """Scores under a disturbance with a spectrum of its own; None where there is none.
+        """Scores under a disturbance with a spectrum; None where the residual shows none.
 
-        Nor where the parameters of a fit that is far away are not determined beside it: a force
-        that is large enough explains any of them.
+        None also where the fit is far away (`is_far`) and a standard error of a parameter exceeds
+        its value: a large enough force explains any value of it.
         """
         weighing = Weighing([record], known_noise=self.problem.noise).with_disturbances()
         fit = replace(self.at.fit, criterion=criterion, solution=replace(self.at.fit.solution, x=x))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import FloatArray
-from casid.data.reading.clock_numbers import days_beside, of_clock_numbers
+from casid.data.reading.clock_numbers import day_numbers, of_clock_numbers
 from casid.data.reading.columns import CLOCK_FORMATS, ColumnSpec
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.layout import NO_VALUE
@@ -202,7 +202,7 @@ def times_of(
     large = of_large_numbers(exact, clock.unit, clock.column, table.origin)
     if large is not None:
         return _noted(large, table, found)
-    days = days_beside(table, frame, clock.column) if clock.unit in {None, *CLOCK_FORMATS} else None
+    days = day_numbers(table, frame, clock.column) if clock.unit in {None, *CLOCK_FORMATS} else None
     clocked = of_clock_numbers(numbers, clock.unit, clock.column, days)
     if clocked is not None:
         return _noted(clocked, table, found)

@@ -118,8 +118,12 @@ def _over_days(seconds: FloatArray, said: str, days: FloatArray | None) -> Stamp
     return Stamps(seconds + DAY * passed, f"{said}, seconds since midnight")
 
 
-def days_beside(table: Table, frame: pd.DataFrame, column: str) -> FloatArray | None:
-    """The day (N,) of every row, of a column called so: a count, or 20250131; None without one."""
+def day_numbers(table: Table, frame: pd.DataFrame, column: str) -> FloatArray | None:
+    """The day (N,) of every row, from a column named for it; None where there is no such column.
+
+    Its cells are whole numbers, a count of days or dates as 20250131; dates become days since the
+    first row.
+    """
     import pandas as pd
 
     named = [c for c in table.columns if c != column and _DAYS.fullmatch(re.sub(r"[_-]", " ", c))]

@@ -14,7 +14,10 @@ from casid.diagnosis.attempts import FAILURES, reason_of
 from casid.diagnosis.evidence.corrupted_samples import CorruptedSamples, without_corrupted
 from casid.diagnosis.evidence.levels_in_gaps import with_levels_in_gaps
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
-from casid.diagnosis.evidence.recorded_channels import channels_held_out_too, recorded_beside
+from casid.diagnosis.evidence.recorded_channels import (
+    channels_held_out_too,
+    varying_channels,
+)
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
 from casid.diagnosis.evidence.sufficiency import (
@@ -151,7 +154,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     split, fit, sized = _sized(problem, split, settings, fit)
     corrupted, split, fit, less = _cleaned(problem, split, settings, fit)
     fit = weighted_by_errors(fit, settings.fit)
-    channels, notes = channels_held_out_too(recorded_beside(problem, split.fitted), split.apart)
+    channels, notes = channels_held_out_too(varying_channels(problem, split.fitted), split.apart)
     weighing = Weighing(
         split.fitted, known_noise=problem.noise, solver=settings.fit.solver, seed=settings.fit.seed
     )

@@ -72,7 +72,7 @@ class _Simulated:
         return [d[u] for d, u in zip(self.inputs, self.used, strict=True)]
 
     @property
-    def anew_among_used(self) -> list[Array]:
+    def restarts_among_used(self) -> list[Array]:
         """The samples, of those that there are, at which the simulation starts anew."""
         return [
             np.array([int(u[:k].sum()) for k in starts if u[:k].any() and u[k:].any()], dtype=int)
@@ -147,7 +147,7 @@ def _spikes(
     count = 0
     while True:
         found = find_spikes(
-            channel, at.residuals, alpha, inputs=at.inputs_used, anew=at.anew_among_used
+            channel, at.residuals, alpha, inputs=at.inputs_used, anew=at.restarts_among_used
         )
         if found is None:
             return None, split, count
@@ -183,11 +183,11 @@ def confirmed(
         height = _above_neighbours(residual, mask)
         noise = spread_of_differences(residual[np.isfinite(residual)])
         kept = (height > OUTLIERS.left * spikes.heights[e]) & (height > spikes.limit * noise)
-        beside = _beside(at.times[e], onsets if e < len(split.whole) else ())
-        kept &= ~beside[mask]
+        at_onset = _at_onsets(at.times[e], onsets if e < len(split.whole) else ())
+        kept &= ~at_onset[mask]
         left.append(kept)
         residual[mask] = np.where(kept, residual[mask], np.nan)
-        residual[beside] = np.nan
+        residual[at_onset] = np.nan
         residuals.append(residual[np.isfinite(residual)])
     count = int(sum(kept.sum() for kept in left))
     if not count or (count < spikes.count and _is_tail(spikes, residuals)):
@@ -214,7 +214,7 @@ def _is_tail(spikes: Spikes, residuals: Sequence[Array]) -> bool:
     return find_spikes(spikes.channel, residuals, spikes.level) is None
 
 
-def _beside(times: Array, onsets: Sequence[float]) -> Array:
+def _at_onsets(times: Array, onsets: Sequence[float]) -> Array:
     """Samples (N,) that are a sample or less from an onset."""
     near = np.zeros(len(times), dtype=bool)
     for onset in onsets:

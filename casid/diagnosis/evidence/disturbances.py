@@ -142,12 +142,12 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
         carried = noise.source_sd[group[0]] ** 2 * _power_of(at, group[0])
         measured = sum(at.input_sd.get(name, 0.0) ** 2 * _power_of(at, name) for name in group)
         where = next((name for name in group if name in at.model.balances), group[0])
-        # A balance with a spectrum of its own is a source of its own, beside its white part here.
-        is_beside = where != group[0] and where in noise.spectra
-        unit_power = _power_of(at, where, is_white=is_beside)
+        # A balance that has its own spectrum is a separate source; here only its white part counts.
+        is_white_part = where != group[0] and where in noise.spectra
+        unit_power = _power_of(at, where, is_white=is_white_part)
         share = (carried - measured) / total if total > 0 else 0.0
         if share > 0 and unit_power > 0:
-            spectrum = None if is_beside else noise.spectra.get(where)
+            spectrum = None if is_white_part else noise.spectra.get(where)
             part = share, (carried - measured) / unit_power, spectrum
             found.setdefault(where, []).append(part)
     shares = {where: sum(p[0] for p in parts) for where, parts in found.items()}

@@ -148,11 +148,11 @@ def with_unused_columns(problem: Problem, experiments: Sequence[Experiment]) -> 
     )
 
 
-def recorded_beside(problem: Problem, experiments: Sequence[Experiment]) -> dict[str, str]:
-    """Channels recorded beside the model's that every record has and that move.
+def varying_channels(problem: Problem, experiments: Sequence[Experiment]) -> dict[str, str]:
+    """Recorded channels outside the model that every record has, complete, and that vary.
 
-    One that is named like something of the model's own (an eliminated input, a state) is what the
-    model has already.
+    Left out is one with the name of a symbol of the model (an eliminated input, a state): the model
+    contains that signal already.
     """
     used = {*problem.model.inputs, *problem.model.outputs}
     out = {}

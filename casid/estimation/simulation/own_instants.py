@@ -74,7 +74,7 @@ def at_own_instants(
         begin = np.clip(np.where(place > rows, rows, rows - 1), first, last - 1)
         before = steps.get(c)
         if before is None:
-            begin = _beside_bends(begin, place, at.bend, first, last)
+            begin = _off_bends(begin, place, at.bend, first, last)
         share = place - begin
         end = y[begin + 1, c] if before is None else before.y[begin]
         moved = y[begin, c] + share * (end - y[begin, c])
@@ -86,8 +86,12 @@ def at_own_instants(
         y[rows, c] = moved
 
 
-def _beside_bends(begin: Array, place: Array, bend: Array, first: Array, last: Array) -> Array:
-    """The intervals whose lines hold at the places: not those with a bend, where one is beside."""
+def _off_bends(begin: Array, place: Array, bend: Array, first: Array, last: Array) -> Array:
+    """First samples (M,) of the intervals whose straight lines are taken at the places (M,).
+
+    Where the output bends inside an interval, the line of the neighbour on the same side of the
+    bend is taken, if that one is within the part and has no bend.
+    """
     is_before = place - begin <= bend[begin]  # False where there is no bend
     is_behind = place - begin > bend[begin]
     beside = begin - is_before + is_behind

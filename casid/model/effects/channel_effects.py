@@ -414,7 +414,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         points = (level,) if same_dimension(unit, "K") else dict.fromkeys((level, 0.0))
         effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
-    effects += [sensor_scale(model, channel) for channel in _commands_beside_others(model)]
+    effects += [sensor_scale(model, channel) for channel in _commands_of_several(model)]
     effects += [sensor_bias(model, channel) for channel in _commands_with_a_zero(model)]
     beside = units | dict(recorded)
     for channel, (_, own) in model.outputs.items():
@@ -431,10 +431,10 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     return [*effects, *_holds_of_all(model)]
 
 
-def _commands_beside_others(model: Model) -> list[str]:
-    """Inputs that are known, of a model with several: a pump may give more than it is told.
+def _commands_of_several(model: Model) -> list[str]:
+    """Known inputs of a model with several inputs: a pump may deliver more than its command.
 
-    Of a single input, parameters and outputs tell as much.
+    With a single input, the error of its gain acts as one of the parameters and outputs.
     """
     inputs = [n for n, u in model.inputs.items() if u.kind in ("measured", "known")]
     return [n for n in inputs if model.inputs[n].kind == "known"] if len(inputs) > 1 else []

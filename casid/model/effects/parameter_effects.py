@@ -204,14 +204,17 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
                 size = sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
                 if size.mean > 0.0:
                     yield state_scheduled_parameter(model, name, state, size, power)
-        for state in _beside_reactions(model, symbol, inside):
+        for state in _possible_inhibitors(model, symbol, inside):
             size = sizes.motion_of(model.symbol(state))
             if size.is_signed and size.low > 0.0:
                 yield inhibited_parameter(model, name, state, size)
 
 
-def _beside_reactions(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
-    """Amounts that a reaction makes or uses up, and whose coefficient they do not stand beside."""
+def _possible_inhibitors(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
+    """Amounts in the balances of a reaction on which its rate does not depend in the model.
+
+    The rate is what the parameter `symbol` multiplies in the balances `inside`.
+    """
     shapes = [ca.jacobian(ca.SX(side), symbol) for side in inside.values()]
     felt = {s.name() for shape in shapes for s in ca.symvar(shape)}
     if len(inside) < 2 or not felt & {*inside}:

@@ -16,7 +16,7 @@ import casid
 from casid.diagnosis.evidence.corrupted_samples import (
     _above_neighbours,
     _act_later,
-    _beside,
+    _at_onsets,
     _is_tail,
     without_corrupted,
 )
@@ -210,8 +210,8 @@ def test_a_spike_is_confirmed_by_what_stands_out_of_its_neighbours():
 
 def test_samples_on_either_side_of_an_onset_are_beside_it():
     times = 100.0 + 2.0 * np.arange(6)
-    assert list(times[_beside(times, [105.3, 110.0])]) == [104.0, 106.0, 108.0, 110.0]
-    assert not _beside(times, []).any()
+    assert list(times[_at_onsets(times, [105.3, 110.0])]) == [104.0, 106.0, 108.0, 110.0]
+    assert not _at_onsets(times, []).any()
 
 
 def test_what_a_jump_explains_makes_no_spikes_of_the_tail_of_noise():
