@@ -237,13 +237,13 @@ class Regression:
             return []
         best = max(free, key=lambda i: merits[i])
         of_best = self.slices[best]
-        left = _foreseen_without(self.e, rest[:, of_best] @ roots[best], roots[best].T @ z[of_best])
+        left = _leave_one_out(self.e, rest[:, of_best] @ roots[best], roots[best].T @ z[of_best])
         each = np.hstack([rest[:, self.slices[i]] @ roots[i] for i in free])
         edges = np.cumsum([0, *(roots[i].shape[1] for i in free)])
         per_sample = self._per_sample(each * left[:, None])
         lags = bartlett_lags(per_sample)
         covariance = long_run_covariance(per_sample, lags)
-        covariance += np.diag(_not_seen_to_be_less(each, np.diag(covariance), left))
+        covariance += np.diag(_added_variance(each, np.diag(covariance), left))
         if given is not None:
             own = np.hstack([given[:, self.slices[i]] @ roots[i] for i in free])
             own = self._per_sample(own)
@@ -293,20 +293,22 @@ class Regression:
         return map_back @ score, map_back @ covariance @ map_back.T
 
 
-def _foreseen_without(e: Array, columns: Array, score: Array) -> Array:
-    """What columns (M, K), orthogonal and of unit length, leave of e (M,), by their score (K,).
+def _leave_one_out(e: Array, columns: Array, score: Array) -> Array:
+    """Leave-one-out residuals (M,) of e (M,) on columns (M, K), orthonormal, with score (K,).
 
-    Each sample is foreseen from the others: few tell of a step, and it explains their noise.
+    Each sample is predicted by a fit to the others. A column that few samples determine, such as a
+    step of one sample, would fit the noise of those samples.
     """
     leverage = np.einsum("ij,ij->i", columns, columns)
     return np.asarray((e - columns @ score) / np.maximum(1.0 - leverage, SCORES.undetectable))
 
 
-def _not_seen_to_be_less(columns: Array, variances: Array, left: Array) -> Array:
-    """What to add to variances of the scores of columns (M, K) of unit length, (K,).
+def _added_variance(columns: Array, variances: Array, left: Array) -> Array:
+    """What to add to the variances (K,) of the scores of columns (M, K) of unit length.
 
-    Of a step one sample tells, whose error is small by chance now and then. As far as few samples
-    tell of a column, its variance is not taken to be less than that of the residual as a whole.
+    A robust variance from few samples, such as the one that determines a step, may be small by
+    chance. The fewer samples determine a column (`samples`, 1 / sum c^4), the closer its variance
+    is raised to that of the residual `left` (M,).
     """
     samples = 1.0 / np.maximum(np.einsum("ij,ij,ij,ij->j", *[columns] * 4), TINY)
     share = FUNCTIONS.few_samples / (FUNCTIONS.few_samples + samples)
