@@ -25,7 +25,7 @@ FAILURES = (CasidError, ArithmeticError, RuntimeError, ValueError)
 
 @dataclass(slots=True)
 class Attempts:
-    """What was tried in vain.
+    """Computations that failed, and why.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The facts of a diagnosis that more than one sentence, table or figure speaks of.
+"""Quantities of a diagnosis that several sentences, tables or figures state.
 
 Every one of them is decided here once: which p-value belongs to an effect, which errors the causes
 lower, whether the remainder is noise. What is displayed is derived from them, so that no two

@@ -31,7 +31,7 @@ class DiagnosisSettings:
     progress : called with a line of text at every step.
     budget : seconds that the diagnosis may take, from `began` of `wall_clock` on.
     calibration_ends : when the calibration has to end; it has no limit unless one is given.
-    levels_by_outputs : whether the outputs, too, tell the levels of controlled inputs in gaps.
+    levels_by_outputs : whether levels of controlled inputs in gaps are estimated from outputs too.
     """
 
     alpha: float = 0.05

@@ -173,8 +173,8 @@ def _end_in_windows(fit: Fit, whole: Experiment, first: int) -> tuple[Signals, A
 def in_windows(fit: Fit, experiment: Experiment, *, on_clock: bool) -> tuple[Signals, Array, Array]:
     """A record that was not fitted, simulated window by window as long as a segment of the fit.
 
-    Each begins in a state estimated from the window alone. A simulation of an unstable model over
-    more than that says nothing: it leaves the record whatever the parameters are.
+    Each begins in a state estimated from the window alone. Over a longer time a simulation of an
+    unstable model diverges from the record whatever the parameters are.
     """
     model, windowed = fit.criterion.model, replace(experiment, window=window_length(fit))
     nowhere = dict.fromkeys(model.states, np.nan)

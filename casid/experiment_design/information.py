@@ -1,12 +1,12 @@
-"""How much an experiment tells: criteria of design as functions of information matrices.
+"""Criteria of experiment design as functions of information matrices.
 
 With the information G over (initial states, nuisance parameters, parameters of interest, misfit),
 all columns whitened, and its Cholesky factor R'R = G, R upper triangular:
 
 - the information on the last q columns, everything before them free, is S'S with S the last block
   of R (a Schur complement);
-- the energy of the misfit that no parameter nor initial state of the rival takes up is R_nn^2, n
-  the misfit's column (the criterion of T-optimality).
+- the energy of the misfit that no parameter or initial state of the rival model explains is
+  R_nn^2, n the misfit's column (the criterion of T-optimality).
 
 Every score is the logarithm of what grows in proportion to the length of a record, so differences
 of scores are ratios of energies, or of seconds.

@@ -170,7 +170,7 @@ def _frames(stream: IO[bytes]) -> Iterator[bytes]:
 def end_with_parent(parent: int) -> None:
     """End this process soon after the one that started it, which may have been killed.
 
-    Whoever is killed tells nobody, and idle workers would hold their memory for minutes.
+    A killed worker does not report its end, and idle workers would hold their memory for minutes.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ class Case:
 
     Attributes
     ----------
-    name : by which it is asked for.
+    name : by which it is requested.
     text : its page, in Markdown.
     """
 

@@ -1,8 +1,8 @@
-"""Accelerations that a model writes as the forces it knows of.
+"""Accelerometer outputs written as the sum of the modelled forces over the mass.
 
-An accelerometer responds to every force. Written as `m.der(v)` it does in the model; written as the
-sum of known forces over the mass, a force that is added to the balance later passes it by, and what
-is missing there is sought in the sensor. With J dv/dt = sum of terms, an output
+An accelerometer responds to every force. An output written as `m.der(v)` follows a force that is
+added to the balance; one written as a sum of forces over the mass does not, and the misfit is then
+attributed to the sensor. With J dv/dt = sum of terms, an output
 
     y = s (sum of terms) / J + r,    s = 1 or -1                                              (1)
 

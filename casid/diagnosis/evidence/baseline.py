@@ -57,13 +57,13 @@ class Baseline:
     fit : simulation-error fit to `split`.
     reported_fit : the same to `recorded`.
     start : the model under the noise found there.
-    channels : recorded beside the model's, on which causes may depend, name -> unit.
+    channels : recorded channels outside the model, on which causes may depend, name -> unit.
     corrupted : samples left out.
     negated : a channel that probably has the wrong sign.
     why_undecided : why the records support no answer, or an empty text.
     levels : gaps in which levels of inputs are estimated.
-    why_doubtful : why `fit` says little by itself, or an empty text. A cause that is added may mend
-        that; where none does, the records support no answer.
+    why_doubtful : why `fit` is unreliable, or an empty text. An added cause may remedy that; where
+        none does, the records support no answer.
     """
 
     split: Split

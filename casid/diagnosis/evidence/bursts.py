@@ -1,7 +1,8 @@
 """Bursts: the instant at which most of a misfit begins.
 
-What a jump of a parameter stirs up may have passed after a period of the motion. At instants that
-are further apart than that, a jump explains next to nothing, and its score tells as little.
+The transient that a jump of a parameter excites may decay within a period of the motion. A jump
+assumed at an instant further from the true one explains almost none of it, and scores low: so the
+instants tested have to include the beginning of the burst.
 
 The burst is the stretch with the largest sum of p_k - c mean(p), p_k the square of the whitened
 residual at sample k (the maximum of a cumulative sum over its running minimum). It begins where

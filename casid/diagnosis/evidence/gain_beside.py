@@ -1,9 +1,9 @@
-"""What an effect explains of a residual beside a random disturbance, by likelihoods.
+"""The gain in log-likelihood of an effect in a model that already has a random disturbance.
 
-A disturbance with a spectrum of its own explains much of any residual, an effect's among it. An
-effect that is there leaves less for the disturbance to explain: its signature is taken out of the
-residual, with what the parameters explain of it, the disturbance is estimated anew in what is left,
-and the likelihoods of both are compared.
+A disturbance with a free spectrum explains a large part of any residual, also of one that an effect
+leaves. To compare the two, the signature of the effect and the tangent of the parameters are
+regressed out of the residual, the disturbance is estimated again from the remainder, and the
+log-likelihoods with and without the effect are compared.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from casid.estimation.varying_response import with_varying_response
 
 
 def unwhitened(bare: Weighted) -> SimulationError:
-    """The criterion of a model under a disturbance, weighted alone, at the same point."""
+    """The criterion of a model under a disturbance at the same point, weighted, not whitened."""
     at = bare.criterion
     return at.of_records(at.experiments, weights=at.weights, start=bare.fit.values)
 
@@ -38,19 +38,20 @@ def gain_beside(
     passing: float,
     under: NoiseModel | None = None,
 ) -> float:
-    """The most that the log-likelihood gains where one effect explains a part of the residual.
+    """The largest gain in log-likelihood that one of several effects gives; 0 where none gains.
 
-    Effects that gain little at first, by a disturbance that is only adjusted, are not followed up.
+    The first gains are those under the disturbance adjusted once; only effects whose first gain is
+    a share of `passing` (`DISTURBED.followed`) are computed with the disturbance estimated again.
 
     Parameters
     ----------
-    bare : a model under the disturbance that its residual shows.
+    bare : the model without the effects, under the disturbance estimated from its residual.
     plain : columns of the extended model at the same point (`unwhitened`).
     effects : by their place among the effects of the columns.
     known : channel -> standard deviation of its white noise, where it is known.
     passing : the gain that decides.
-    under : the noise under which effects are first taken out, default that with the disturbance.
-        Beside a slow force what sets in at an instant is seen there alone, and missed next to it.
+    under : the noise under which effects are first regressed out, default `bare.noise`. Under slow
+        disturbances an effect that sets in at an instant is missed if that one is not exact.
     """
     parts = [plain.of_record(plain.wide.start, e) for e in range(len(plain.wide.data))]
     residual, tangent, signatures = ([part[i] for part in parts] for i in range(3))

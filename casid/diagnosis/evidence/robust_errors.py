@@ -1,4 +1,4 @@
-"""Standard errors of a fit that are robust to what whitening left, and Wald distances by them."""
+"""Sandwich standard errors of a fit, valid for an imperfectly whitened residual; Wald distances."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from casid.estimation.simulation.minimization import Fit
 
 
 def std_error(fit: Fit, name: str) -> float:
-    """Robust standard error of one variable."""
+    """Robust (sandwich) standard error of one variable, in its unit."""
     criterion = fit.criterion
     free = np.ones(len(fit.x), dtype=bool)
     covariance, _ = sandwich(fit.solution.hessian, criterion.scores(fit.x), free)

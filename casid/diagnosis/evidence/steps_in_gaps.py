@@ -143,7 +143,7 @@ def is_busy(u: Array, gone: BoolArray) -> bool:
 def with_columns(
     experiment: Experiment, columns: Mapping[str, Array], notes: Sequence[str]
 ) -> Experiment:
-    """An experiment with other samples of some inputs, of which its record's history tells."""
+    """An experiment with other samples of some inputs; `notes` are added to its provenance."""
     record = experiment.record
     history = (*(line for line in record.provenance if line not in notes), *notes)
     channels = {**record.channels, **columns}

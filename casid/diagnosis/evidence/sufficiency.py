@@ -169,9 +169,9 @@ def why_undecided(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> 
 
 
 def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> str:
-    """Why the fit of the model as it is says little by itself, or an empty text.
+    """Why the fit of the baseline model is unreliable, or an empty text.
 
-    A cause that is added may mend that: an error many times the noise is easily found, and leaves
+    An added cause may remedy that: an error many times the noise is easily found, and leaves
     no parameter a standard error below its own size before it is. Parameters as in `why_undecided`.
     A fit that ended beside its minimum is no reason where the one under the noise, which begins
     there and which the tests are made at, reached its own.

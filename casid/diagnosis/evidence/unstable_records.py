@@ -1,7 +1,7 @@
 """Records of unstable models, such as plants that a controller holds: simulated window by window.
 
-A simulation of an unstable model leaves the record whatever its parameters are, and says nothing of
-what is missing. Each window of the record starts in a state of its own, estimated with the
+A simulation of an unstable model diverges from the record whatever its parameters are, and so does
+not show what is missing. Each window of the record starts in a state of its own, estimated with the
 parameters. Fits, residuals, tests and what is held out are then those of simulations over a window:
 predictions over at most its length, free of the growth that the controller took away.
 

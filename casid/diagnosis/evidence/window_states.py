@@ -1,4 +1,4 @@
-"""What the initial states of windows take of a change of the simulation.
+"""The part of a change of the simulation that the initial states of windows absorb.
 
 An unstable model is simulated window by window, each from a state that is fitted. It magnifies what
 noise of an input adds until the window ends, as it does an error of that state: of what noise adds,

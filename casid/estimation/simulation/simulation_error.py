@@ -200,7 +200,7 @@ class SimulationError:
         return out
 
     def _bound_initial_states(self) -> None:
-        """Keep initial states near the motion: the samples left out may be all that tell of them.
+        """Bound the initial states, which only samples that are left out may determine.
 
         Within the range of the simulation at the start, and once its width on either side.
         """

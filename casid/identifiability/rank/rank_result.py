@@ -48,7 +48,7 @@ class PointRank:
         return unit_vectors(self.information)
 
     def moves(self, parameter: str) -> bool:
-        """True if a parameter moves an output, be it as an initial state does that nobody knows."""
+        """True if a parameter affects an output, be its effect separable from others or not."""
         i = self.parameters.index(parameter)
         return any(
             bool(np.any(full[:, len(states) + i]))
@@ -56,7 +56,7 @@ class PointRank:
         )
 
     def unobservable(self) -> list[str]:
-        """States that the outputs do not tell, experiment by experiment."""
+        """States that are unobservable from the outputs, experiment by experiment."""
         pairs = zip(self.states, self.observable(), strict=True)
         return [
             s
