@@ -22,8 +22,12 @@ from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.fitted.from_fit import channels_of
 from casid.estimation.holdout import Split
-from casid.estimation.intervals.choice import Estimation, chosen_intervals, patience_since
-from casid.estimation.intervals.of_estimate import with_intervals
+from casid.estimation.intervals.choice import (
+    Estimation,
+    chosen_intervals,
+    patience_since,
+    with_intervals,
+)
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.nlp.solver import as_solver
 from casid.estimation.noise import NoiseModel, estimate_noise

@@ -14,6 +14,7 @@ from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.covariance import sandwich
+from casid.estimation.errors_in_variables.error_bars import covariance_under_colour, error_bars
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.estimate import Estimate, Estimated, Trust, Uncertainty
 from casid.estimation.holdout import (
@@ -28,8 +29,8 @@ from casid.estimation.intervals.choice import (
     chosen_intervals,
     patience_since,
     require_intervals,
+    with_intervals,
 )
-from casid.estimation.intervals.of_estimate import with_intervals
 from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
@@ -44,7 +45,6 @@ from casid.estimation.simulation.simulation_estimate import (
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.approach import approach
 from casid.identification.disturbed import identify_disturbed
-from casid.identification.error_bars import covariance_under_colour, error_bars
 from casid.identification.reference_instruments import instrumented
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.identification.sized_noise import fitted_in_sizes, sized_noise_text

@@ -11,11 +11,11 @@ from casid.arrays import TINY
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.cause import Cause
 from casid.estimation.covariance import sandwich
+from casid.estimation.errors_in_variables.error_bars import error_bars
 from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.estimate import Estimate
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import ErrorBars
-from casid.identification.error_bars import error_bars
 
 ROUNDED = "; how sharply dry friction reverses is included as far as it is not known"
 PLACED = "; the instants of changes are included as far as they are not known"

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.errors import DataError, nearest
 from casid.estimation.errors_in_variables.removal import Corrected
+from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.intervals.bootstrap import Bootstrapped, bootstrapped
 from casid.estimation.intervals.profile import ProfileInterval, profile_interval
 from casid.estimation.intervals.quadratic_test import why_not_quadratic
@@ -274,4 +275,25 @@ def _scaled(estimation: Estimation, name: str) -> ScaledCriterion:
         is_root=estimation.is_root,
         solver=estimation.settings.solver,
         constraints=estimation.settings.constraints,
+    )
+
+
+def with_intervals(estimate: Estimate, chosen: Chosen) -> Estimate:
+    """The estimate, in SI, with its intervals and what they assume."""
+
+    def row(p: Estimated) -> Estimated:
+        if p.name not in chosen.ends:
+            return p
+        return replace(p, ends=chosen.ends[p.name], interval_kind=chosen.kinds[p.name])
+
+    kinds = dict.fromkeys(chosen.kinds.values())
+    papers = [paper for kind in kinds for paper in SOURCES[kind]]
+    origin = replace(estimate.origin, sources=(*estimate.sources, *papers))
+    return replace(
+        estimate,
+        parameters=tuple(row(p) for p in estimate.parameters),
+        initial_states=tuple(row(p) for p in estimate.initial_states),
+        uncertainty=replace(estimate.uncertainty, intervals=dict(chosen.assumes)),
+        warnings=(*estimate.warnings, *chosen.warnings),
+        origin=origin,
     )

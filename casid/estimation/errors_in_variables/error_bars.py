@@ -1,4 +1,4 @@
-"""The error bars of a simulation-error fit, by what became of the noise on its inputs."""
+"""The error bars of a simulation-error fit, by how noise on its inputs was treated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ from casid.estimation.simulation.simulation_estimate import (
 
 
 def error_bars(found: Corrected) -> ErrorBars:
-    """Of the root without the noise of inputs, or of the minimum under its residual's spectrum."""
+    """Covariance of an estimate, and what it assumes.
+
+    That of the estimating equations where reference instruments or the correction for input noise
+    were used; else that of the least-squares minimum under the spectrum of its residual.
+    """
     if found.reference:
         return ErrorBars(INSTRUMENTED, found.covariance)
     if found.is_removed:
@@ -31,9 +35,9 @@ def error_bars(found: Corrected) -> ErrorBars:
 
 
 def covariance_under_colour(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
-    """Covariance (n, n) and orders of the spectrum, where the residual of a fit is coloured.
+    """Covariance (n, n) of a fit with a coloured residual, and the autoregression's orders.
 
-    None of a fit in segments or under constraints.
+    None where the residual is white, or the fit is in segments or under constraints.
     """
     if fit.criterion.segments > 1 or fit.solution.constraint_jacobian.size:
         return None
