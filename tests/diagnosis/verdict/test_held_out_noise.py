@@ -156,5 +156,15 @@ def test_what_the_errors_of_the_estimates_do_to_what_was_held_out_leaves_the_mod
     assert found.verdict == "adequate", found.sentence
 
 
-def test_more_than_the_errors_of_the_estimates_explain_leaves_it_undecided():
-    assert continued_line(1, bend=0.05).verdict == "undecided"
+def test_what_the_errors_of_the_estimates_do_not_explain_is_sought_in_the_whole_record():
+    """The slope that changes where the held-out part begins: least squares of two slopes gives it
+    to s / sqrt(sum (t - 50)^2 (1 - r^2)) = 2e-4 m/s at a known instant; the instant to 0.2 / 0.05 s.
+    """
+    found = continued_line(1, bend=0.05)
+    jump = found.causes[0]
+    assert (jump.kind, jump.where) == ("parameter_jump", "a")
+    size, time = jump.parameters
+    assert size.value == pytest.approx(0.05, abs=4 * size.std_error)
+    assert size.std_error < 0.003
+    assert time.value == pytest.approx(50.0, abs=4.0)
+    assert any("first 25 % of each record show no model error" in note for note in found.notes)
