@@ -157,9 +157,7 @@ def test_what_the_errors_of_the_estimates_do_to_what_was_held_out_leaves_the_mod
 
 
 def test_what_the_errors_of_the_estimates_do_not_explain_is_sought_in_the_whole_record():
-    """The slope that changes where the held-out part begins: least squares of two slopes gives it
-    to s / sqrt(sum (t - 50)^2 (1 - r^2)) = 2e-4 m/s at a known instant; the instant to 0.2 / 0.05 s.
-    """
+    """A slope that changes where the held-out part begins; noise of 0.2 m hides 0.2 / 0.05 s."""
     found = continued_line(1, bend=0.05)
     jump = found.causes[0]
     assert (jump.kind, jump.where) == ("parameter_jump", "a")
