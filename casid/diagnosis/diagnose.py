@@ -22,7 +22,12 @@ from casid.diagnosis.evidence.recorded_channels import with_unused_columns
 from casid.diagnosis.search.findings import Findings, search_causes
 from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
 from casid.diagnosis.thresholds import BUDGET
-from casid.diagnosis.verdict.judgement import Judgement, judge, notes_on
+from casid.diagnosis.verdict.judgement import (
+    Judgement,
+    errs_in_held_out_alone,
+    judge,
+    notes_on,
+)
 from casid.diagnosis.verdict.sentences import noise_text
 from casid.errors import OutOfTimeError
 from casid.estimation.estimate import Origin
@@ -196,10 +201,10 @@ def _judged_or_whole(
 ) -> tuple[Findings, Judgement, list[str]]:
     """Findings with their verdict; those of whole records where what was held out alone errs.
 
-    What sets in there is in no part that was fitted. The note says that nothing is held out then.
+    A note says then that nothing is held out.
     """
     judged = _judged(problem, found, settings)
-    if not judged.doubts.is_unlike_held_out or split.apart:
+    if split.apart or not errs_in_held_out_alone(found, judged):
         return found, judged, []
     settings.progress("diagnose the whole record: what was held out differs from what was fitted")
     try:
@@ -207,11 +212,11 @@ def _judged_or_whole(
         of_whole = _judged(problem, again, settings)
     except OutOfTimeError:
         return found, judged, []
-    if not of_whole.causes:
+    if len(of_whole.causes) <= len(judged.causes):
         return found, judged, []
     note = (
-        f"the first {100 * float(np.mean(~split.held[0])):.0f} % of each record show no model "
-        "error, and what follows does: the causes are those of the whole record, and no part is "
+        f"the model that fits the first {100 * float(np.mean(~split.held[0])):.0f} % of each "
+        "record fails in what follows: the causes are those of the whole record, and no part is "
         "left to confirm them"
     )
     return again, of_whole, [note]

@@ -135,3 +135,17 @@ def test_what_sets_in_where_a_record_is_held_out_is_found_in_all_of_it(reading: 
     assert (cause.kind, cause.where) == ("sensor_bias", "position")
     assert size.value == pytest.approx(2e-3, abs=4 * size.std_error)
     assert time.value == pytest.approx(41.0, abs=2 * TS)
+
+
+@pytest.mark.slow
+def test_what_sets_in_there_is_found_beside_what_was_there_from_the_beginning():
+    """A knock of the sensor that is fitted, and a load that is not."""
+    knocked, load = 1e-3 * (T >= 10.0), 0.2 * (T >= 41.0)
+    found = casid.diagnose(slide(), record(load=load, reading=knocked), advise=False)
+    assert {(c.kind, c.where) for c in found.causes} == {
+        ("offset", "force"),
+        ("sensor_bias", "position"),
+    }
+    alone = casid.diagnose(slide(), record(reading=knocked), advise=False)
+    assert not any("no part is left to confirm them" in note for note in alone.notes)
+    assert only(alone).kind == "sensor_bias"

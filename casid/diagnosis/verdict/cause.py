@@ -156,13 +156,11 @@ class Doubts:
     is_more_than_noise : the test of the remainder finds that it is no noise.
     disagreements : a sentence for each parameter on which the records disagree.
     bounds : parameters that the fit holds at a bound, where they decide the verdict; in words.
-    is_unlike_held_out : the model fails in what was held out alone, which leaves the verdict open.
     """
 
     is_more_than_noise: bool = False
     disagreements: tuple[str, ...] = ()
     bounds: Mapping[str, str] = field(default_factory=dict, hash=False)
-    is_unlike_held_out: bool = False
 
     @property
     def said(self) -> str:

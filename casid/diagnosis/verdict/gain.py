@@ -176,6 +176,7 @@ def unlike_held_out(
     fitted: Mapping[str, Mapping[str, float]],
     held: Mapping[str, Mapping[str, float]],
     by_estimates: Mapping[str, float],
+    of: str = "baseline_rmse",
 ) -> str:
     """Why what was held out forbids to call the model adequate, or an empty text.
 
@@ -187,11 +188,12 @@ def unlike_held_out(
     ----------
     by_estimates : what they add to the square of each output over its floor
         (`chance_by_estimates`).
+    of : whose errors, those of the model as it is or "extended_rmse".
     """
     base = found.baseline
     by_chance = chance_by_noise(found.at.fit, found.at, base.split)
-    for output, error in held.get("baseline_rmse", {}).items():
-        inside = fitted["baseline_rmse"].get(output, math.nan)
+    for output, error in held.get(of, {}).items():
+        inside = fitted[of].get(output, math.nan)
         floor = fitted["noise_floor"][output]
         chance = math.sqrt(by_chance.get(output, 1.0) + by_estimates.get(output, 0.0))
         if error > max(JUDGING.unlike * max(inside, floor), chance * floor):

@@ -137,7 +137,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = _unlike(found, fitted, held, baseline, beside)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
-    doubts = _doubts(found, remainder, bounds, is_unlike=why_undecided == unlike != "")
+    doubts = _doubts(found, remainder, bounds)
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
@@ -194,21 +194,42 @@ def _predicts_held_out(found: Findings, remainder: Remainder | None) -> bool:
     return not found.search.attempts.attempt("the comparison with what was held out", far)
 
 
+def errs_in_held_out_alone(found: Findings, judged: Judgement) -> bool:
+    """True where the last model, with causes or without, fits what was fitted to the noise alone.
+
+    What sets in where a record is held out is in no part that was fitted.
+    """
+    remainder, extended = judged.remainder, judged.extended
+    if found.baseline.why_undecided or found.baseline.split.is_empty or remainder is None:
+        return False
+    if not judged.causes:
+        errors = judged.fitted, judged.held_out
+        return bool(_unlike(found, *errors, judged.baseline, remainder.beside))
+    if extended is None or not remainder.is_noise:
+        return False
+    by_estimates = _by_estimates(found, found.best_fit, judged.held_out, extended)
+    of = "extended_rmse"
+    return bool(unlike_held_out(found, judged.fitted, judged.held_out, by_estimates, of))
+
+
 def _unlike(
     found: Findings, fitted: Errors, held: Errors, baseline: Estimate, beside: Weighted | None
 ) -> str:
     """Why what was held out contradicts a model that the fitted part does not."""
     if beside is not None and beside.unbiased is not None:
         return unlike_under_disturbance(beside, found.baseline.split)
-    return unlike_held_out(found, fitted, held, _by_estimates(found, held, baseline))
+    by_estimates = _by_estimates(found, found.base_fit, held, baseline)
+    return unlike_held_out(found, fitted, held, by_estimates)
 
 
-def _by_estimates(found: Findings, held: Errors, baseline: Estimate) -> Mapping[str, float]:
-    """What the errors of the estimates may add to what was held out, of the model as it is."""
+def _by_estimates(
+    found: Findings, fit: Fit, held: Errors, estimate: Estimate
+) -> Mapping[str, float]:
+    """What the errors of the estimates may add to what was held out, of a model that was fitted."""
     if not held:
         return {}
     split, floor = found.baseline.split, held["noise_floor"]
-    of = partial(chance_by_estimates, found.base_fit, baseline.covariance, split, floor)
+    of = partial(chance_by_estimates, fit, estimate.covariance, split, floor)
     return found.search.attempts.attempt("what the estimates add to what was held out", of) or {}
 
 
@@ -256,15 +277,13 @@ def _has_input_noise(at: Weighted) -> bool:
     )
 
 
-def _doubts(
-    found: Findings, remainder: Remainder | None, bounds: Mapping[str, str], *, is_unlike: bool
-) -> Doubts:
+def _doubts(found: Findings, remainder: Remainder | None, bounds: Mapping[str, str]) -> Doubts:
     """What contradicts the model, named or not."""
     apart = disagreements(found.best_fit) if not found.baseline.why_undecided else []
     is_more = (
         remainder is not None and remainder.p_value < remainder.level and not remainder.disturbances
     )
-    return Doubts(is_more, tuple(apart), bounds, is_unlike)
+    return Doubts(is_more, tuple(apart), bounds)
 
 
 def _undecided(

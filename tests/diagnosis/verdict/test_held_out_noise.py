@@ -165,4 +165,6 @@ def test_what_the_errors_of_the_estimates_do_not_explain_is_sought_in_the_whole_
     assert size.value == pytest.approx(0.05, abs=4 * size.std_error)
     assert size.std_error < 0.003
     assert time.value == pytest.approx(50.0, abs=4.0)
-    assert any("first 25 % of each record show no model error" in note for note in found.notes)
+    assert any(
+        "fits the first 25 % of each record fails in what follows" in note for note in found.notes
+    )
