@@ -72,7 +72,9 @@ _PLATEAUS = f"{TESTS}/evidence/test_plateaus.py"
 class Clipping:
     """When equal samples at the end of a channel's range are a limit."""
 
-    fewest: int = _is(4, "equal samples at an end that are a plateau at all", _PLATEAUS)
+    fewest: int = _is(
+        4, "equal samples at an end that are a plateau in a channel whose values repeat", _PLATEAUS
+    )
     samples_per_plateau: int = _is(10, "samples of the channel for each of these", _PLATEAUS)
     fast: float = _is(
         0.5,

@@ -234,11 +234,14 @@ def _ties(values: Array) -> float:
 
     Repetitions are Poisson distributed where all values are as likely. A counted or rounded channel
     repeats the levels near which it stays and passes the others: then their mean varies, and they
-    are negative binomial, with mean and variance as next to the end.
+    are negative binomial, with mean and variance as next to the end. Two or three equal samples are
+    as likely at the end as at any other value: of n, r of which repeat elsewhere, (r + 1) / n.
     """
     distinct, counts = np.unique(values, return_counts=True)
-    if counts[-1] < CLIPPING.fewest or len(distinct) < CLIPPING.beside // 2:
+    if counts[-1] < 2 or len(distinct) < CLIPPING.beside // 2:
         return 1.0
+    if counts[-1] < CLIPPING.fewest:
+        return float(np.sum(counts[:-1] > 1) + 1) / len(distinct)
     repeats = counts[-CLIPPING.beside - 1 : -1] - 1
     usual, variance = float(np.mean(repeats)) + CLIPPING.repeats, float(np.var(repeats, ddof=1))
     if variance <= usual:
