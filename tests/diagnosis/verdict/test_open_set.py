@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import casid
@@ -116,11 +117,27 @@ def test_hysteresis_is_unknown_by_its_kind_and_described_with_its_size():
 
 
 @pytest.mark.slow
-def test_a_knock_is_a_force_for_a_while_and_has_its_instants():
+@pytest.mark.xfail(reason="a change of m for a while is named, and the force in its set")
+def test_a_knock_is_told_from_a_force_that_sets_in_by_what_it_leaves():
     """Half a sine of 0.2 s: both start the pendulum ringing, at instants a quarter period apart.
 
-    A parameter that changes for as long moves it alike.
+    Its impulse is 2/pi of its height times 0.2 s, in the middle of it.
     """
+    hidden = truth.cart_pendulum("knock", 3.0, seed=3, duration=40.0, Ts=0.02)
+    d = hiding("knock", 3)
+    (cause,) = d.causes
+    assert len(cause.parameters) == 2
+    impulse, time = cause.parameters
+    assert cause.kind == "unknown"
+    assert "knock" in cause.sentence
+    assert time.value == pytest.approx(hidden.truth["t_jump"] + 0.1, abs=0.1)
+    height = hidden.truth["size"]
+    assert impulse.value == pytest.approx(height * 0.2 * 2 / np.pi, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_knock_is_a_force_for_a_while_and_has_its_instants():
+    """Half a sine of 0.2 s; a parameter that changes for as long moves the pendulum alike."""
     hidden = truth.cart_pendulum("knock", 3.0, seed=3, duration=40.0, Ts=0.02)
     (cause,) = hiding("knock", 3).causes
     named = {(cause.kind, cause.where), *((a.kind, a.where) for a in cause.alternatives)}
