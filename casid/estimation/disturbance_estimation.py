@@ -50,7 +50,7 @@ FINER = (0.15, 0.05, 0.017)
 """Changes of the logarithm of the frequency, one after another, by which the search goes on beside
 the best of the grid; the last is far less than one record can distinguish."""
 NARROW = (0.006, 0.002)
-"""The same beside a peak whose zeta is less."""
+"""Further such changes, each only for a peak whose zeta is no more than that."""
 WIDER = 3.0
 """Times as large are those of the logarithm of the width."""
 LEAST_WIDTH = 0.01

@@ -200,7 +200,8 @@ def errs_in_held_out_alone(found: Findings, judged: Judgement) -> bool:
     What sets in where a record is held out is in no part that was fitted.
     """
     remainder, extended = judged.remainder, judged.extended
-    if found.baseline.why_undecided or found.baseline.split.is_empty or remainder is None:
+    is_judged = not (found.baseline.why_undecided or found.baseline.split.is_empty)
+    if not is_judged or remainder is None or judged.verdict == "adequate":
         return False
     if not judged.causes:
         errors = judged.fitted, judged.held_out

@@ -61,16 +61,15 @@ def test_a_model_that_errs_by_many_times_the_noise_is_searched() -> None:
     assert disturbance_alone(search, start, base) is None
 
 
-@pytest.mark.parametrize("engine", [0.0, 0.04])
-def test_a_line_beside_a_sea_is_sought_and_the_sea_alone_is_not(engine: float) -> None:
+def test_a_line_beside_a_sea_is_sought() -> None:
     """In linear waves the line of an engine, in rad/s^2, adds its own response: |1/(iw + B)|."""
     sea = noisy(record(1))
-    w = 6.0  # rad/s, above the roll and its waves
+    engine, w = 0.04, 6.0  # rad/s^2, and rad/s above the roll and its waves
     rate = engine / w * np.sin(w * sea.Ts * np.arange(sea.N))
     roll = -engine / w**2 * np.cos(w * sea.Ts * np.arange(sea.N))
     moved = {"fin": sea["fin"], "roll": sea["roll"] + roll, "rate": sea["rate"] + rate}
     search, start, base = started(casid.Record(moved, sea.units, Ts=sea.Ts))
-    assert (disturbance_alone(search, start, base) is None) == (engine > 0)
+    assert disturbance_alone(search, start, base) is None
 
 
 @pytest.mark.slow
