@@ -201,14 +201,15 @@ def _judged_or_whole(
 ) -> tuple[Findings, Judgement, list[str]]:
     """Findings with their verdict; those of whole records where what was held out alone errs.
 
-    A note says then that nothing is held out.
+    A note says then that nothing is held out. The level is that of the search, calibrated or not.
     """
     judged = _judged(problem, found, settings)
     if split.apart or not errs_in_held_out_alone(found, judged):
         return found, judged, []
     settings.progress("diagnose the whole record: what was held out differs from what was fitted")
     try:
-        again = _searched(problem, split_records(split.whole, 0.0), settings)
+        same = replace(settings, alpha=found.search.alpha)
+        again = _searched(problem, split_records(split.whole, 0.0), same)
         of_whole = _judged(problem, again, settings)
     except OutOfTimeError:
         return found, judged, []

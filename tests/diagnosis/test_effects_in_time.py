@@ -7,13 +7,19 @@ is solved exactly, by the exponential of its matrix.
 from __future__ import annotations
 
 import functools
+import importlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import casid
+from casid.diagnosis.settings import DiagnosisSettings
+from casid.estimation.holdout import Split, split_records
 from casid.export.problem_file import write_problem_file
+
+diagnosing = importlib.import_module("casid.diagnosis.diagnose")  # the package has the function
 
 Array = np.ndarray
 
@@ -58,6 +64,20 @@ def only(found: casid.Diagnosis) -> casid.Cause:
     return found.causes[0]
 
 
+def assert_knocked(found: casid.Diagnosis, instant: float) -> None:
+    """One cause, a sensor that reads 2 mm more from an instant on."""
+    cause = only(found)
+    size, time = cause.parameters
+    assert (cause.kind, cause.where) == ("sensor_bias", "position")
+    assert size.value == pytest.approx(2e-3, abs=4 * size.std_error)
+    assert time.value == pytest.approx(instant, abs=2 * TS)
+
+
+def is_of_the_whole(found: casid.Diagnosis) -> bool:
+    """True where a note says that no part of the record was held out."""
+    return any("no part is left to confirm them" in note for note in found.notes)
+
+
 @functools.cache
 def of_a_load_that_sets_in() -> casid.Diagnosis:
     return casid.diagnose(slide(), record(load=0.2 * (T >= 21.0)), advise=False)
@@ -75,11 +95,8 @@ def test_a_load_that_sets_in_is_a_constant_term_from_an_instant_on():
 
 @pytest.mark.slow
 def test_a_sensor_that_was_knocked_is_biased_from_an_instant_on():
-    cause = only(casid.diagnose(slide(), record(reading=2e-3 * (T >= 17.0)), advise=False))
-    size, time = cause.parameters
-    assert (cause.kind, cause.where) == ("sensor_bias", "position")
-    assert size.value == pytest.approx(2e-3, abs=4 * size.std_error)
-    assert time.value == pytest.approx(17.0, abs=2 * TS)
+    found = casid.diagnose(slide(), record(reading=2e-3 * (T >= 17.0)), advise=False)
+    assert_knocked(found, 17.0)
 
 
 @pytest.mark.slow
@@ -106,7 +123,9 @@ def test_a_constant_load_stays_what_acts_all_the_time():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_sets_in_where_nothing_does(seed):
-    assert casid.diagnose(slide(), record(seed=seed), advise=False).verdict == "adequate"
+    found = casid.diagnose(slide(), record(seed=seed), advise=False)
+    assert found.verdict == "adequate"
+    assert not is_of_the_whole(found)
 
 
 @pytest.mark.slow
@@ -121,20 +140,12 @@ def test_the_extended_model_begins_the_load_when_the_record_did(tmp_path):
     assert load.value == pytest.approx(0.2, abs=4 * load.std_error)
 
 
-@pytest.mark.parametrize("reading", [pytest.param(2e-3, marks=pytest.mark.slow), 0.0])
-def test_what_sets_in_where_a_record_is_held_out_is_found_in_all_of_it(reading: float):
+@pytest.mark.slow
+def test_what_sets_in_where_a_record_is_held_out_is_found_in_all_of_it():
     """The first 70 % of it, 35 s, show nothing: the record is diagnosed as a whole."""
-    found = casid.diagnose(slide(), record(reading=reading * (T >= 41.0)), advise=False)
-    told = any("no part is left to confirm them" in note for note in found.notes)
-    assert told == bool(reading)
-    if not reading:
-        assert found.verdict == "adequate"
-        return
-    cause = only(found)
-    size, time = cause.parameters
-    assert (cause.kind, cause.where) == ("sensor_bias", "position")
-    assert size.value == pytest.approx(2e-3, abs=4 * size.std_error)
-    assert time.value == pytest.approx(41.0, abs=2 * TS)
+    found = casid.diagnose(slide(), record(reading=2e-3 * (T >= 41.0)), advise=False)
+    assert is_of_the_whole(found)
+    assert_knocked(found, 41.0)
 
 
 @pytest.mark.slow
@@ -146,6 +157,27 @@ def test_what_sets_in_there_is_found_beside_what_was_there_from_the_beginning():
         ("offset", "force"),
         ("sensor_bias", "position"),
     }
+    assert is_of_the_whole(found)
     alone = casid.diagnose(slide(), record(reading=knocked), advise=False)
-    assert not any("no part is left to confirm them" in note for note in alone.notes)
+    assert not is_of_the_whole(alone)
     assert only(alone).kind == "sensor_bias"
+
+
+def test_whole_records_are_searched_at_the_level_of_the_calibration(monkeypatch):
+    """Where null records ask for a smaller one, what is repeated has no larger one."""
+    levels = []
+    judged = SimpleNamespace(causes=())
+
+    def searched(problem: object, split: Split, settings: DiagnosisSettings) -> SimpleNamespace:
+        levels.append(settings.alpha)
+        assert split.is_empty
+        return SimpleNamespace()
+
+    monkeypatch.setattr(diagnosing, "_searched", searched)
+    monkeypatch.setattr(diagnosing, "_judged", lambda *_: judged)
+    monkeypatch.setattr(diagnosing, "errs_in_held_out_alone", lambda *_: True)
+    split = split_records([casid.Experiment(record(), {}, "r")], 0.3)
+    found = SimpleNamespace(search=SimpleNamespace(alpha=0.01))
+    kept = diagnosing._judged_or_whole(slide(), found, split, DiagnosisSettings(alpha=0.05))
+    assert levels == [0.01]
+    assert kept == (found, judged, [])
