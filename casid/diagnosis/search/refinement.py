@@ -10,9 +10,9 @@ therefore refined when it is complete, by the errors of all causes together:
 - a store whose time constant ends at a bound gives way to what is simpler and does the same;
 - a cause that explains less than `JUDGING.practical` of the misfit is a small remainder: reported,
   but not as a cause, unless a parameter of the model is another one without it (`JUDGING.carried`):
-  dry friction that viscous friction replaces but for little; or unless one output has the misfit
-  that it explains (`JUDGING.unlike`), small as that is beside the misfit of another. A remainder
-  leaves the extended model too, unless the sizes of the causes need it.
+  dry friction that viscous friction replaces but for little; or unless an output errs far more
+  without it (`JUDGING.unlike`), by a share of its own misfit, or than the noise which all causes
+  leave. A remainder leaves the extended model too, unless the sizes of the causes need it.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from casid.diagnosis.search.candidates import (
 from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.friction_speeds import likeliest_speed, steps_needed
 from casid.diagnosis.search.instant_errors import moved_in_time
+from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
@@ -289,6 +290,7 @@ class Refinement:
         # Of two that do the same each is small beside the other: what is left is judged without
         # all that were taken out before, even those that stay in the model.
         bare, judged = fit, list(range(len(kept)))
+        is_whole = len(kept) > 1 and is_noise_alone(found.at, self.search)
         while len(kept) > 1 and judged:
             losses = contributions_of(self.search.weighing, kept, bare, self.search.attempts)
             total = max(sum(losses), TINY)
@@ -297,7 +299,8 @@ class Refinement:
                 break
             without = self._without(bare, kept[i].candidate)
             judged.remove(i)
-            if _carries(self.start.model, bare, without) or self._is_seen(bare, without):
+            is_seen = self._is_seen(bare, without, of_any_share=is_whole)
+            if is_seen or _carries(self.start.model, bare, without):
                 continue
             share = losses[i] / total
             small.append(replace(kept.pop(i), share=share))
@@ -339,16 +342,19 @@ class Refinement:
         now, then = self._compared(fit, without)
         return then.square > (1 + JUDGING.practical) * now.square
 
-    def _is_seen(self, fit: Fit, without: Fit) -> bool:
+    def _is_seen(self, fit: Fit, without: Fit, *, of_any_share: bool) -> bool:
         """True if one output errs far more without an effect, by a share of what all explain in it.
 
-        Sums over the outputs hide it where the misfit of another output is many times as large.
+        Sums hide it where the misfit of another output, or a cause in this one, is far larger. Of
+        any share it counts where the causes together leave noise alone: what it takes away is then
+        no part of the shape of a larger one, which would leave more.
         """
         errors = [fitted_error(f, self.split, self.units) for f in (fit, without)]
         errors = counted_by_all(*errors, self.before.fitted)
         now, then, before = (np.nansum(e**2, axis=0) for e in errors)
         is_seen = then > JUDGING.unlike**2 * now
-        return bool(np.any(is_seen & (then - now >= JUDGING.practical * (before - now))))
+        is_much = then - now >= JUDGING.practical * (before - now)
+        return bool(np.any(is_seen & (is_much | of_any_share)))
 
     def _compared(self, *fits: Fit) -> list[SimulationErrors]:
         """Errors of fits, on the samples that all of them count."""

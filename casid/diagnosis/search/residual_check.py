@@ -19,6 +19,11 @@ def is_more_than_noise(at: Weighted, search: Search) -> bool:
     return tests.verdict not in (NOISE, DISTURBANCE)
 
 
+def is_noise_alone(at: Weighted, search: Search) -> bool:
+    """True if a model leaves noise alone, of no more than sensors and inputs have."""
+    return not at.noise_absorbs_misfit and not is_more_than_noise(at, search)
+
+
 def tested_residual(at: Weighted, search: Search, level: float) -> ResidualTests:
     """The residual's tests; those of the last model requested are kept."""
     if search.tested is None or search.tested[0] is not at:

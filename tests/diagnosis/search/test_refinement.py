@@ -33,9 +33,9 @@ ONCE = casid.FitSettings(starts=1)
 
 
 @functools.cache
-def refinement(drag: float) -> Refinement:
+def refinement(drag: float, noise: float = 2e-4) -> Refinement:
     """One minute of decay at 10 Hz with hardening and drag, its last 30 % held out."""
-    record = roll_decay.simulate(B_2=drag).decimate(5)
+    record = roll_decay.simulate(B_2=drag, noise=noise).decimate(5)
     split = split_records([casid.Experiment(record)], 0.3)
     linear = roll_decay.decay_model()
     weighing = Weighing(split.fitted)
@@ -80,6 +80,23 @@ def test_a_cause_that_explains_too_little_is_a_remainder_and_not_in_the_model(dr
     )
     assert all(0 < a.share < JUDGING.practical for a in found.remainders)
     assert ("d_2" in found.fit.criterion.model.parameters) is is_cause
+
+
+@pytest.mark.parametrize(("noise", "is_cause"), [(1e-5, True), (2e-4, False)])
+def test_a_small_share_is_a_cause_where_its_output_would_err_by_far_more_than_noise(
+    noise: float, is_cause: bool
+) -> None:
+    """Drag of a thirty-fifth beside hardening: the same force on two noises."""
+    of = refinement(0.002, noise)
+    first = hardening(of)
+    second = beside(of, first, quadratic_damping(first.model, "torque"), 0.002)
+    before = adopted(of, first, second)
+    assert before.fit is not None
+    bare = whole_fit(first.model, of.split, of.settings, of.units, first.fit.values)
+    ratio = (bare.solution.value / before.fit.solution.value) ** 0.5
+    assert (ratio > JUDGING.unlike) is is_cause
+    found = of.main(before)
+    assert ("d_2" in {n for a in found.adopted for n in a.candidate.names}) is is_cause
 
 
 def test_a_remainder_that_nobody_would_see_is_listed_only_where_the_model_has_it():
@@ -174,7 +191,7 @@ def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it(
     Without dry friction, a quarter of the misfit, F_v is 2.1 times too large: by more than half of
     its value, and less than twice.
     """
-    limits = replace(JUDGING, practical=0.4, carried=carried)
+    limits = replace(JUDGING, practical=0.4, carried=carried, unlike=np.inf)
     monkeypatch.setattr("casid.diagnosis.search.refinement.JUDGING", limits)
     model, record = slide()
     split = split_records([casid.Experiment(record)], 0.3)
