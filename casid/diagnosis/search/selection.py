@@ -17,9 +17,10 @@ from casid.diagnosis.search.alternatives import (
     without_imitations,
 )
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
+from casid.diagnosis.search.powers_of_states import with_better_powers
 from casid.diagnosis.search.reconsideration import better_rivals
 from casid.diagnosis.search.refinement import Adoption, Refinement, exchanged, whole_fit
-from casid.diagnosis.search.residual_check import is_more_than_noise
+from casid.diagnosis.search.residual_check import is_more_than_noise, is_noise_alone
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
@@ -37,6 +38,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import HYSTERESIS_SHAPE
 
 SHARPNESS = "the sharpness of dry friction"
+POWERS = "the powers by which parameters change with states"
 LEAVES_MORE = "it seems to imitate a better law, and leaves more than noise"
 LATE = ("time_delay", "sensor_lag", "actuator_lag")
 """Kinds by which an input acts, or a sensor shows, later than in the model."""
@@ -57,6 +59,7 @@ def adopt_causes(
         if under is None:
             state.sharpen(refine)
             state.set_in_motion(refine)
+            state.reshape(refine)
             state.exchange_for_prediction(refine)
     if not state.adopted:
         return Adoption((), at, None)
@@ -72,6 +75,7 @@ def adopt_causes(
     refine = Refinement(search, split, once, units, at, base_fit)
     for what, step in (
         (superfluous, refine.significant),
+        (POWERS, partial(with_better_powers, refine)),
         (SHARPNESS, refine.sharp),
         ("the instants of changes in the whole records", refine.in_time),
         ("the test whether every cause matters", refine.main),
@@ -212,7 +216,7 @@ class _Selection:
         if why := _why_undetermined(self.fit, fit, best):
             return why
         at = weighing.weigh(best.model, fit, rounds=1)
-        if leaves_noise and not self._is_noise(at):
+        if leaves_noise and not is_noise_alone(at, self.search):
             return LEAVES_MORE
         if is_disturbed:
             # Under the disturbance, unless the simulation by itself then goes astray.
@@ -225,10 +229,6 @@ class _Selection:
         self.errors, self.fit, self.at = errors, fit, at
         self.adopted += news
         return ""
-
-    def _is_noise(self, at: Weighted) -> bool:
-        """True if a model leaves noise alone, of no more than sensors and inputs have."""
-        return not at.noise_absorbs_misfit and not is_more_than_noise(at, self.search)
 
     def _errors(self, c: Candidate) -> SimulationErrors:
         """The errors of a model fitted under the noise with disturbances."""
@@ -318,6 +318,11 @@ class _Selection:
         if may_move(self.adopted[-1].candidate):
             what = "the motion of a further part when the record begins"
             self._take(self.search.attempts.attempt(what, partial(refine.in_motion, self.found)))
+
+    def reshape(self, refine: Refinement) -> None:
+        """Let parameters change with the powers of states that suit the causes found by now."""
+        powers = partial(with_better_powers, refine, self.found)
+        self._take(self.search.attempts.attempt(POWERS, powers))
 
     def _take(self, found: Adoption | None) -> None:
         """Go on from what was refined, if it was."""

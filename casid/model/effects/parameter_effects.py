@@ -98,7 +98,7 @@ def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Eff
 
 
 def state_scheduled_parameter(
-    model: Model, name: str, state: str, size: Motion, power: int = 1
+    model: Model, name: str, state: str, size: Motion, power: int = 1, *, is_straight: bool = False
 ) -> Effect:
     """A parameter p that falls or grows with the size of a state or an input x.
 
@@ -107,7 +107,8 @@ def state_scheduled_parameter(
     records (x's unit to that power), m its mean, so that p stays what it is there. With power 1 it
     is p + s (|x| - m), and of a p that is no less than zero a share is left, so that an inertia
     never vanishes; with power 2 it is p (p - s m) / (p - s x^2), which is smooth where x is zero
-    and keeps the sign of p however far it falls.
+    and keeps the sign of p however far it falls, or where it `is_straight` the parabola
+    p + s (x^2 - m), of which the same share is left.
     """
     old = model.parameters[name]
     unit = old.unit
@@ -117,10 +118,12 @@ def state_scheduled_parameter(
     p = Parameter(f"{label}_{name}_{state}", unit, 0.0)
     m = carrying_unit(size.mean)
 
+    is_straight |= power == 1
+
     def apply(new: Model, names: Sequence[str]) -> None:
         x, value, s = new.symbol(state), new.symbol(name), new.symbol(names[0])
-        if power == 1:
-            moved = value + s * (ca.fabs(x) - m)
+        if is_straight:
+            moved = value + s * (ca.fabs(x) ** power - m)
             if old.lower >= 0.0:
                 moved = ca.fmax(moved, SATURATIONS.left * value)
         else:
@@ -130,7 +133,7 @@ def state_scheduled_parameter(
 
     # The slope at which p is zero, or near a pole, is p over minus these.
     span = (-size.mean, size.mean)
-    if power != 1:
+    if not is_straight:
         span = (-SATURATIONS.poles * size.high, size.mean / SATURATIONS.falls)
     return Effect(
         "scheduled_parameter",
@@ -140,8 +143,13 @@ def state_scheduled_parameter(
         variant=float(power),
         priority=int(old.is_known),
         span=span,
-        constants={"mean": size.mean, "power": float(power)},
+        constants={"mean": size.mean, "power": float(power), "straight": float(is_straight)},
     )
+
+
+def is_scheduled_by_state(effect: Effect) -> bool:
+    """True of a parameter that changes with a power of a state or an input."""
+    return effect.kind == "scheduled_parameter" and "power" in effect.constants
 
 
 def inhibited_parameter(model: Model, name: str, state: str, size: Motion) -> Effect:
