@@ -14,7 +14,8 @@ rudder in beam seas (`ship.py`), whose accelerometer is an output, its sway a di
 For every parameter: the share of printed intervals, of whatever kind, that hold the truth with its
 95 % binomial interval (Wilson), bias over spread, and mean standard error over spread. A cell meets
 its target where the binomial intervals of all its parameters reach into 93 to 97 %, or where at
-least 95 % of its draws say themselves that a bias may be left.
+least 95 % of its draws say themselves that a bias may be left. Where inputs are exact and the
+system is linear, the RMS error is compared with the Cramer-Rao bound, too (`bounds.py`).
 --quick: 20 draws of the motor. Exit 1 where a target is missed.
 """
 
@@ -30,6 +31,7 @@ from scipy.signal import lfilter
 import casid
 from analysis.common.runner import Run, Study
 from analysis.common.targets import Target, holds
+from analysis.coverage.bounds import bounds
 from analysis.coverage.ship import SEAS, SeaCell
 from analysis.coverage.systems import SYSTEMS, System
 from casid.arrays import Array
@@ -45,6 +47,7 @@ GAPS = 0.2
 SLOWER = 4  # samples of the fast clock for one of the slow one
 WANTED = (0.93, 0.97)
 FLAGGED = 0.95
+EFFICIENT = 1.15
 FLAGS = ("noise on measured inputs", "follows the residual", "values may be biased")
 SETTLING = 2000  # samples of coloured noise before the record
 
@@ -89,12 +92,21 @@ class Cell:
         units = {name: model.unit_of(name) for name in columns}
         return casid.Record(columns, units, Ts=motion.Ts, missing=missing, name="drawn")
 
+    def bounds(self) -> dict[str, float]:
+        """Parameter -> the least standard deviation that an estimate can have, where it is known.
+
+        With the samples that the first draw misses.
+        """
+        record = self.record(0)
+        missing = np.column_stack([record.is_missing(name) for name in self.system.noise])
+        return bounds(self.system, self.condition, missing)
+
     def _pushed(self, N: int, rng: np.random.Generator) -> dict[str, Array]:
         """What the force does to the outputs (N,), where there is one."""
-        if self.condition != "disturbance" or self.system.push is None:
+        push, plant, motion = self.system.push, self.system.plant, self.system.motion()
+        if self.condition != "disturbance" or push is None or plant is None:
             return {}
-        motion = self.system.motion()
-        columns = self.system.push.response(N, motion.Ts, rng)
+        columns = push.response(plant.matrices(self.truth), N, motion.Ts, rng)
         return dict(zip(motion.outputs, columns.T, strict=True))
 
     def _noise(self, n: int, rng: np.random.Generator) -> Array:
@@ -123,8 +135,23 @@ class Cell:
         )
 
 
-def accuracy(cell: Cell | SeaCell, draws: int) -> tuple[list[Accuracy], float, int]:
-    """Of every parameter, with the share of draws that warn of a bias, and those that failed."""
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What the draws of a cell gave.
+
+    Attributes
+    ----------
+    flagged : share of draws that warn of a bias.
+    failed : draws without an estimate.
+    """
+
+    parameters: list[Accuracy]
+    flagged: float
+    failed: int
+
+
+def accuracy(cell: Cell | SeaCell, draws: int) -> Drawn:
+    """How well a cell's parameters are estimated."""
     names = list(cell.truth)
     found, flags, failed = [], 0, 0
     for draw in range(draws):
@@ -142,7 +169,7 @@ def accuracy(cell: Cell | SeaCell, draws: int) -> tuple[list[Accuracy], float, i
     for i, name in enumerate(names):
         value, error, *ends = values[:, i].T
         out.append(accuracy_of(name, "", cell.truth[name], value, error, tuple(ends)))
-    return out, flags / max(len(found), 1), failed
+    return Drawn(out, flags / max(len(found), 1), failed)
 
 
 def row(a: Accuracy) -> str:
@@ -154,20 +181,34 @@ def row(a: Accuracy) -> str:
     )
 
 
-def judged(cell: Cell | SeaCell, draws: int) -> Target:
-    """A cell beside its target."""
-    parameters, flagged, failed = accuracy(cell, draws)
+def judged(name: str, drawn: Drawn) -> Target:
+    """The coverage of a cell beside its target."""
     met = all(
         p.coverage_interval is not None
         and p.coverage_interval[0] <= WANTED[1]
         and p.coverage_interval[1] >= WANTED[0]
-        for p in parameters
+        for p in drawn.parameters
     )
-    text = "; ".join(row(p) for p in parameters)
-    said = f"; {100 * flagged:.0f} % of draws warn" if flagged else ""
-    said += f"; {failed} failed" if failed else ""
+    text = "; ".join(row(p) for p in drawn.parameters)
+    said = f"; {100 * drawn.flagged:.0f} % of draws warn" if drawn.flagged else ""
+    said += f"; {drawn.failed} failed" if drawn.failed else ""
     wanted = "93 to 97 %, or 95 % of draws warn"
-    return holds(cell.name, text + said, wanted, (met or flagged >= FLAGGED) and not failed)
+    return holds(name, text + said, wanted, (met or drawn.flagged >= FLAGGED) and not drawn.failed)
+
+
+def efficient(name: str, drawn: Drawn, least: Mapping[str, float]) -> Target:
+    """The RMS errors of a cell over the least that there are.
+
+    It meets the target where the interval of each ratio reaches it: of n draws a standard deviation
+    is known to 1/sqrt(2 n).
+    """
+    rows = [(p.name, math.hypot(p.bias or 0.0, p.spread) / least[p.name]) for p in drawn.parameters]
+    reach = 1.96 / math.sqrt(2 * max(drawn.parameters[0].n, 1))
+    text = "; ".join(f"{name} {ratio:.2f}" for name, ratio in rows)
+    met = all(ratio * (1 - reach) <= EFFICIENT for _, ratio in rows)
+    said = f"{text} (+- {100 * reach:.0f} %)"
+    wanted = f"RMS error at most {EFFICIENT:g} of the Cramer-Rao bound"
+    return holds(f"{name}: efficiency", said, wanted, met)
 
 
 def cells(only: str) -> Iterator[Cell | SeaCell]:
@@ -190,7 +231,11 @@ def found(run: Run) -> Iterator[Target | str]:
     only = run.options.only or ("motor" if run.quick else "")
     yield f"{draws} draws a cell"
     for cell in cells(only):
-        yield judged(cell, draws)
+        drawn = accuracy(cell, draws)
+        yield judged(cell.name, drawn)
+        least = cell.bounds() if isinstance(cell, Cell) else {}
+        if least:
+            yield efficient(cell.name, drawn, least)
 
 
 STUDY = Study(

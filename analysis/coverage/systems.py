@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -29,6 +30,82 @@ class Motion:
     outputs: Mapping[str, Array]
 
 
+class Matrices(NamedTuple):
+    """x' = a x + b u + e f, y = c x, with a force f that nobody measures."""
+
+    a: Array  # (nx, nx)
+    b: Array  # (nx, nu)
+    c: Array  # (ny, nx)
+    e: Array  # (nx,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plant:
+    """A linear system with its inputs, in straight lines between samples, and where it begins.
+
+    Attributes
+    ----------
+    matrices : of the parameters' values.
+    u : (N, nu), u[0] = 0.
+    """
+
+    matrices: Callable[[Mapping[str, float]], Matrices]
+    u: Array
+    Ts: float
+    x0: Array  # (nx,)
+
+    def outputs(self, values: Mapping[str, float], x0: Array | None = None) -> Array:
+        """(N, ny) without noise and force."""
+        a, b, c, _ = self.matrices(values)
+        nothing = np.zeros((len(c), self.u.shape[1]))
+        ad, bd, cd, dd, _ = cont2discrete((a, b, c, nothing), self.Ts, method="foh")
+        y = np.empty((len(self.u), len(c)))
+        # The state of a first-order hold is another one where u[0] is not 0.
+        x = np.array(self.x0 if x0 is None else x0, dtype=float)
+        for k, now in enumerate(self.u):
+            y[k] = cd @ x + dd @ now
+            x = ad @ x + bd @ now
+        return y
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Push:
+    """A force f of the first order that nobody measures, f' = -corner f + noise.
+
+    Attributes
+    ----------
+    place : the balance that it acts in.
+    size, corner : standard deviation of f, and rad/s.
+    """
+
+    place: str
+    size: float
+    corner: float
+
+    def steps(self, of: Matrices, Ts: float) -> tuple[Array, Array]:
+        """Transition and noise (nx + 1, nx + 1) of x and f in a sample (Van Loan 1978)."""
+        n = len(of.a)
+        whole, white = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
+        whole[:n, :n], whole[:n, n], whole[n, n] = of.a, of.e, -self.corner
+        white[n, n] = 2 * self.corner * self.size**2
+        both = expm(Ts * np.block([[-whole, white], [np.zeros((n + 1, n + 1)), whole.T]]))
+        step = both[n + 1 :, n + 1 :].T
+        return step, step @ both[: n + 1, n + 1 :]
+
+    def response(self, of: Matrices, N: int, Ts: float, rng: np.random.Generator) -> Array:
+        """(N, ny) what it does to the outputs, from rest; exact between samples."""
+        step, noise = self.steps(of, Ts)
+        values, vectors = np.linalg.eigh(noise)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        n = len(of.a)
+        x, out = np.zeros(n + 1), np.empty((N, len(of.c)))
+        x[n] = self.size * rng.standard_normal()
+        for k in range(N):
+            out[k] = of.c @ x[:n]
+            x = step @ x + root @ rng.standard_normal(n + 1)
+        return out
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class System:
     """A model, its true values, and the noise of its sensors.
@@ -39,7 +116,8 @@ class System:
     levels : input -> standard deviations of its noise, small, medium and large; empty where nothing
         is put in.
     pole : of coloured noise on the outputs, a complex pair or one on the real axis.
-    push : a force of the first order that acts on the states in between; None where its model is
+    plant : what the simulator is made of; None where that is not linear.
+    push : a force of the first order that acts on the states in between; None where the plant is
         not linear, or a measured input feels it.
     """
 
@@ -50,43 +128,8 @@ class System:
     noise: Mapping[str, float]
     levels: Mapping[str, tuple[float, float, float]]
     pole: complex
+    plant: Plant | None = None
     push: Push | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Push:
-    """A force of the first order beside the inputs, in x' = a x + e f, y = c x; f' = -corner f.
-
-    Attributes
-    ----------
-    place : the balance that it acts in.
-    size, corner : standard deviation of f, and rad/s.
-    """
-
-    place: str
-    a: Array  # (nx, nx)
-    e: Array  # (nx,)
-    c: Array  # (ny, nx)
-    size: float
-    corner: float
-
-    def response(self, N: int, Ts: float, rng: np.random.Generator) -> Array:
-        """(N, ny) what it does to the outputs, from rest; exact between samples (Van Loan 1978)."""
-        n = len(self.a)
-        whole = np.zeros((n + 1, n + 1))
-        whole[:n, :n], whole[:n, n], whole[n, n] = self.a, self.e, -self.corner
-        white = np.zeros((n + 1, n + 1))
-        white[n, n] = 2 * self.corner * self.size**2
-        both = expm(Ts * np.block([[-whole, white], [np.zeros((n + 1, n + 1)), whole.T]]))
-        step = both[n + 1 :, n + 1 :].T
-        values, vectors = np.linalg.eigh(step @ both[: n + 1, n + 1 :])
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        x, out = np.zeros(n + 1), np.empty((N, len(self.c)))
-        x[n] = self.size * rng.standard_normal()
-        for k in range(N):
-            out[k] = self.c @ x[:n]
-            x = step @ x + root @ rng.standard_normal(n + 1)
-        return out
 
 
 def slow_steps(N: int, hold: int, seed: int, ramp: int) -> Array:
@@ -98,17 +141,6 @@ def slow_steps(N: int, hold: int, seed: int, ramp: int) -> Array:
     ramped = np.convolve(held, np.ones(ramp) / ramp, "full")[:N]
     ramped[:ramp] = 0.0
     return ramped
-
-
-def linear_motion(a: Array, b: Array, c: Array, u: Array, Ts: float, x0: Array) -> Array:
-    """(N, ny) of x' = a x + b u, y = c x, with u (N, nu) in straight lines from u[0] = 0."""
-    ad, bd, cd, dd, _ = cont2discrete((a, b, c, np.zeros((len(c), b.shape[1]))), Ts, method="foh")
-    y = np.empty((len(u), len(c)))
-    x = np.array(x0, dtype=float)  # that of a first-order hold is another one where u[0] is not 0
-    for k, now in enumerate(u):
-        y[k] = cd @ x + dd @ now
-        x = ad @ x + bd @ now
-    return y
 
 
 # -- pendulum on a cart, indirect -----------------------------------------------------------------
@@ -142,23 +174,25 @@ def roll_model() -> casid.Model:
     return m
 
 
-ROLL_A = np.array([[0.0, 1.0], [-ROLL["C"], -ROLL["B"]]])
+def roll_matrices(values: Mapping[str, float]) -> Matrices:
+    """Of phi and p."""
+    a = np.array([[0.0, 1.0], [-values["C"], -values["B"]]])
+    return Matrices(a, np.zeros((2, 1)), np.eye(2)[:1], np.array([0.0, 1.0]))
+
+
+ROLL_PLANT = Plant(roll_matrices, np.zeros((1200, 1)), 0.05, np.array([0.15, 0.0]))
 
 
 @cache
 def roll_motion() -> Motion:
     """A minute from 0.15 rad."""
-    y = linear_motion(
-        ROLL_A, np.zeros((2, 1)), np.eye(2)[:1], np.zeros((1200, 1)), 0.05, np.array([0.15, 0.0])
-    )
-    return Motion(0.05, {}, {"phi": y[:, 0]})
+    return Motion(ROLL_PLANT.Ts, {}, {"phi": ROLL_PLANT.outputs(ROLL)[:, 0]})
 
 
 # -- motor ----------------------------------------------------------------------------------------
 
 MOTOR = {"K": 0.8, "d": 0.02}
 MOTOR_J = 0.004  # kg m^2
-MOTOR_A = np.array([[-MOTOR["d"] / MOTOR_J]])
 
 
 def motor_model() -> casid.Model:
@@ -173,13 +207,20 @@ def motor_model() -> casid.Model:
     return m
 
 
+def motor_matrices(values: Mapping[str, float]) -> Matrices:
+    """Of w."""
+    a, b = np.array([[-values["d"] / MOTOR_J]]), np.array([[values["K"] / MOTOR_J]])
+    return Matrices(a, b, np.eye(1), np.array([1 / MOTOR_J]))
+
+
+MOTOR_PLANT = Plant(motor_matrices, slow_steps(4000, 80, 2, 10)[:, None], 0.01, np.zeros(1))
+
+
 @cache
 def motor_motion() -> Motion:
     """Forty seconds of steps of the current with ramps of 0.1 s."""
-    i = slow_steps(4000, 80, 2, 10)
-    b = np.array([[MOTOR["K"] / MOTOR_J]])
-    w = linear_motion(MOTOR_A, b, np.eye(1), i[:, None], 0.01, np.zeros(1))[:, 0]
-    return Motion(0.01, {"i": i}, {"w": w})
+    w = MOTOR_PLANT.outputs(MOTOR)[:, 0]
+    return Motion(MOTOR_PLANT.Ts, {"i": MOTOR_PLANT.u[:, 0]}, {"w": w})
 
 
 # -- two masses -----------------------------------------------------------------------------------
@@ -211,10 +252,10 @@ def rig_model() -> casid.Model:
     return m
 
 
-def rig_matrix() -> Array:
-    """(4, 4) of x, v, X and V."""
-    k, d, M = RIG.values()
-    return np.array(
+def rig_matrices(values: Mapping[str, float]) -> Matrices:
+    """Of x, v, X and V."""
+    k, d, M = (values[name] for name in RIG)
+    a = np.array(
         [
             [0, 1, 0, 0],
             [-(k + GROUND[0]) / RIG_M, -(d + GROUND[1]) / RIG_M, k / RIG_M, d / RIG_M],
@@ -222,15 +263,18 @@ def rig_matrix() -> Array:
             [k / M, d / M, -k / M, -d / M],
         ]
     )
+    force = np.eye(4)[1] / RIG_M
+    return Matrices(a, force[:, None], np.eye(4)[[0, 2]], force)
+
+
+RIG_PLANT = Plant(rig_matrices, 10 * slow_steps(3000, 60, 3, 10)[:, None], 0.01, np.zeros(4))
 
 
 @cache
 def rig_motion() -> Motion:
     """Thirty seconds of steps of the force with ramps of 0.1 s."""
-    F = slow_steps(3000, 60, 3, 10)
-    b = np.array([[0], [1 / RIG_M], [0], [0]])
-    y = linear_motion(rig_matrix(), b, np.eye(4)[[0, 2]], 10 * F[:, None], 0.01, np.zeros(4))
-    return Motion(0.01, {"F": 10 * F}, {"x": y[:, 0], "X": y[:, 1]})
+    y = RIG_PLANT.outputs(RIG)
+    return Motion(RIG_PLANT.Ts, {"F": RIG_PLANT.u[:, 0]}, {"x": y[:, 0], "X": y[:, 1]})
 
 
 # -- room -----------------------------------------------------------------------------------------
@@ -253,25 +297,30 @@ def room_model() -> casid.Model:
     return m
 
 
-def room_matrix() -> Array:
-    """(2, 2) of air and wall."""
-    R, C = ROOM.values()
+def room_matrices(values: Mapping[str, float]) -> Matrices:
+    """Of air and wall, for the temperature outside and the heater."""
+    R, C = (values[name] for name in ROOM)
     R_w, C_w = WALL
-    return np.array([[-(1 / R + 1 / R_w) / C, 1 / R_w / C], [1 / R_w / C_w, -1 / R_w / C_w]])
+    a = np.array([[-(1 / R + 1 / R_w) / C, 1 / R_w / C], [1 / R_w / C_w, -1 / R_w / C_w]])
+    b = np.array([[1 / R / C, 1 / C], [0, 0]])
+    return Matrices(a, b, np.eye(2)[:1], np.eye(2)[0] / C)
+
+
+def room_inputs() -> Array:
+    """(2016, 2) a fortnight by ten minutes: a week and days outside, the heater in steps."""
+    t = 600.0 * np.arange(2016) / 86_400
+    outside = 4 * np.sin(2 * np.pi * t) + 3 * np.sin(2 * np.pi * t / 7.3)
+    return np.column_stack([outside, 1000 * slow_steps(len(t), 36, 4, 1)])
+
+
+ROOM_PLANT = Plant(room_matrices, room_inputs(), 600.0, np.zeros(2))
 
 
 @cache
 def room_motion() -> Motion:
-    """A fortnight by ten minutes, a week and days outside, the heater in steps."""
-    N, Ts = 2016, 600.0
-    t = Ts * np.arange(N) / 86_400
-    outside = 4 * np.sin(2 * np.pi * t) + 3 * np.sin(2 * np.pi * t / 7.3)
-    P = 1000 * slow_steps(N, 36, 4, 1)
-    R, C = ROOM.values()
-    b = np.array([[1 / R / C, 1 / C], [0, 0]])
-    u = np.column_stack([outside, P])
-    y = linear_motion(room_matrix(), b, np.eye(2)[:1], u, Ts, np.zeros(2))
-    return Motion(Ts, {"T_o": outside, "P": P}, {"T": y[:, 0]})
+    """A fortnight by ten minutes."""
+    T_o, P = ROOM_PLANT.u.T
+    return Motion(ROOM_PLANT.Ts, {"T_o": T_o, "P": P}, {"T": ROOM_PLANT.outputs(ROOM)[:, 0]})
 
 
 SYSTEMS = (
@@ -292,7 +341,8 @@ SYSTEMS = (
         {"phi": 0.005},
         {},
         0.98 * np.exp(0.125j),
-        Push("torque", ROLL_A, np.array([0.0, 1.0]), np.eye(2)[:1], 0.05, 1.0),
+        ROLL_PLANT,
+        Push("torque", 0.05, 1.0),
     ),
     System(
         "motor",
@@ -302,7 +352,8 @@ SYSTEMS = (
         {"w": 0.2},
         {"i": (0.02, 0.06, 0.2)},
         0.9,
-        Push("torque", MOTOR_A, np.array([1 / MOTOR_J]), np.eye(1), 0.03, 3.0),
+        MOTOR_PLANT,
+        Push("torque", 0.03, 3.0),
     ),
     System(
         "two-mass rig",
@@ -312,7 +363,8 @@ SYSTEMS = (
         {"x": 0.002, "X": 0.002},
         {"F": (0.3, 1.0, 3.0)},
         0.98 * np.exp(0.24j),
-        Push("first", rig_matrix(), np.eye(4)[1] / RIG_M, np.eye(4)[[0, 2]], 2.0, 3.0),
+        RIG_PLANT,
+        Push("first", 2.0, 3.0),
     ),
     System(
         "room",
@@ -322,6 +374,7 @@ SYSTEMS = (
         {"T": 0.05},
         {"T_o": (0.1, 0.3, 1.0)},
         0.9,
-        Push("air", room_matrix(), np.eye(2)[0] / ROOM["C"], np.eye(2)[:1], 100.0, 1e-4),
+        ROOM_PLANT,
+        Push("air", 100.0, 1e-4),
     ),
 )
