@@ -30,6 +30,10 @@ def approach(
         )
     if found.text:
         out["noise on inputs"] = found.text
+    if found.weights is not None:
+        out["weights"] = found.weights.text
+    elif found.why_plain:
+        out["weights"] = f"plain least squares: {found.why_plain}"
     if found.why_not or feedback or found.reference:
         out["instruments"] = _instruments(problem, found)
     elif problem.external:

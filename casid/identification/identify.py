@@ -15,7 +15,11 @@ from casid.data.problem import Problem
 from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.covariance import sandwich
 from casid.estimation.errors_in_variables.error_bars import covariance_under_colour, error_bars
-from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
+from casid.estimation.errors_in_variables.removal import (
+    Corrected,
+    with_spectral_weights,
+    without_input_noise,
+)
 from casid.estimation.estimate import Estimate, Estimated, Trust, Uncertainty
 from casid.estimation.holdout import (
     Split,
@@ -99,12 +103,13 @@ def identify(
     -------
     Estimate
         Values in the units that the model declares, with standard errors robust to autocorrelated
-        residuals. Several outputs count in units of the error that each leaves, the maximum of the
-        likelihood for noise of unknown sizes. Where noise on measured inputs (those not declared
-        `known`) biases least squares, the estimate is without that bias, and `method` and
-        `evidence` say so; where that, or feedback, cannot be removed and the problem has an
-        `external` signal, it is by instruments. Where the fit is poor, `suspects` names a channel
-        that was probably recorded with the wrong sign.
+        residuals. A coloured residual that is noise is weighted by its spectrum where that makes a
+        parameter much more certain; `method` and `evidence` say so. Several outputs count in units
+        of the error that each leaves, the maximum of the likelihood for noise of unknown sizes.
+        Where noise on measured inputs (those not declared `known`) biases least squares, the
+        estimate is without that bias, and `method` and `evidence` say so; where that, or feedback,
+        cannot be removed and the problem has an `external` signal, it is by instruments. Where the
+        fit is poor, `suspects` names a channel that was probably recorded with the wrong sign.
 
     Raises
     ------
@@ -292,6 +297,8 @@ def _estimation(
     @cache
     def covariance(free: tuple[bool, ...]) -> Array:
         mask = np.array(free)
+        if found.weights is not None:
+            return found.weights.covariance(mask)
         if found.covariance is not None:
             return found.covariance
         coloured = covariance_under_colour(found.fit, mask)
@@ -301,7 +308,7 @@ def _estimation(
         return sandwich(tied.hessian, scores, mask, tied.constraint_jacobian)[0]
 
     return Estimation(
-        found.fit,
+        found.fit if found.weights is None else found.weights.fit,
         lambda free: covariance(tuple(free.tolist())),
         replace(settings, segments=found.fit.criterion.segments),
         problem.noise,
@@ -318,7 +325,10 @@ def _corrected(problem: Problem, fit: Fit, settings: FitSettings, undone: Undone
     found = undone.attempt(
         what, lambda: without_input_noise(fit, problem.noise, seed=settings.seed)
     )
-    return Corrected(fit, why_not="the budget of time ended") if found is None else found
+    if found is None:
+        return Corrected(fit, why_not="the budget of time ended")
+    what = "the weighing by the spectrum of the residual"
+    return undone.attempt(what, lambda: with_spectral_weights(found)) or found
 
 
 def _cut_off(estimate: Estimate) -> Estimate:
@@ -349,6 +359,8 @@ def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[
         method = f"{method}; held out in windows of {length:.2g} s"
     if found.reference:
         method = f"instrumental variables from {found.reference}"
+    elif found.weights is not None:
+        method = f"{method}, weighted by the spectrum of the residual"
     elif found.is_removed:
         method = f"{method}, without the bias of input noise"
     elif found.why_not and (found.noisy or found.bias is None):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from casid.arrays import Array
 from casid.estimation.errors_in_variables.removal import Corrected
+from casid.estimation.generalised_least_squares import orders_text
 from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
@@ -12,6 +13,7 @@ from casid.estimation.simulation.simulation_estimate import (
     COLOURED,
     CORRECTED,
     INSTRUMENTED,
+    WEIGHTED,
     ErrorBars,
 )
 
@@ -20,18 +22,22 @@ def error_bars(found: Corrected) -> ErrorBars:
     """Covariance of an estimate, and what it assumes.
 
     That of the estimating equations where reference instruments or the correction for input noise
-    were used; else that of the least-squares minimum under the spectrum of its residual.
+    were used; else that of the least-squares minimum under the spectrum of its residual, plain or
+    weighted by it.
     """
     if found.reference:
         return ErrorBars(INSTRUMENTED, found.covariance)
     if found.is_removed:
         return ErrorBars(CORRECTED, found.covariance, found.whiten)
+    if found.weights is not None:
+        orders = orders_text(found.weights.orders)
+        return ErrorBars(WEIGHTED.format(orders=orders), found.covariance, found.whiten)
     fit, assumes = found.fit, ASSUMES + BIASED if found.why_not else ASSUMES
     coloured = covariance_under_colour(fit, fit.solution.is_free)
     if coloured is None:
         return ErrorBars(assumes)
-    orders = " and ".join(str(order) for order in coloured[1])
-    return ErrorBars(assumes.replace(ASSUMES, COLOURED.format(orders=orders)), coloured[0])
+    in_words = COLOURED.format(orders=orders_text(coloured[1]))
+    return ErrorBars(assumes.replace(ASSUMES, in_words), coloured[0])
 
 
 def covariance_under_colour(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:

@@ -18,6 +18,7 @@ from casid.estimation.errors_in_variables.input_noise import (
 )
 from casid.estimation.errors_in_variables.left_by_noise import left_by_noise, squares
 from casid.estimation.errors_in_variables.thresholds import REMOVAL, VARIANCE_SLOPE
+from casid.estimation.generalised_least_squares import SpectralWeights, weighted_by_spectrum
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError, Whitener
@@ -41,6 +42,9 @@ class Corrected:
     apart : with instruments, the parameter that least squares misses most, and by how many standard
         errors.
     refused : why no instruments were made of a declared reference.
+    weights : the estimate by the spectrum of a coloured residual, which `fit` then has; None of
+        plain least squares.
+    why_plain : why a coloured residual has no part in the weights.
     """
 
     fit: Fit
@@ -53,11 +57,13 @@ class Corrected:
     reference: str = ""
     apart: tuple[str, float] = ("", 0.0)
     refused: str = ""
+    weights: SpectralWeights | None = None
+    why_plain: str = ""
 
     @property
     def is_removed(self) -> bool:
         """True if the fit is one without the bias, or of instruments."""
-        return self.covariance is not None
+        return self.covariance is not None and self.weights is None
 
     @property
     def noisy(self) -> tuple[str, ...]:
@@ -152,6 +158,27 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
         named,
         whiten=root.whitened,
         output_sd=root.found.noise.output_sd,
+    )
+
+
+def with_spectral_weights(found: Corrected) -> Corrected:
+    """The same with the estimate by the spectrum of the residual, where that is much more certain.
+
+    A fit with a bias from its inputs, or without it, stays as it is.
+    """
+    if found.is_removed or found.why_not:
+        return found
+    weights = weighted_by_spectrum(found.fit)
+    if isinstance(weights, str):
+        return replace(found, why_plain=weights)
+    old, new = found.fit.solution, weights.fit.solution
+    solution = replace(old, x=new.x, at_lower=new.at_lower, at_upper=new.at_upper)
+    return replace(
+        found,
+        fit=replace(found.fit, solution=solution),
+        covariance=weights.covariance(new.is_free),
+        whiten=weights.fit.criterion.whiten,
+        weights=weights,
     )
 
 

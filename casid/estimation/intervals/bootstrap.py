@@ -20,7 +20,11 @@ from casid.arrays import Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import CasidError, OutOfTimeError
-from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
+from casid.estimation.errors_in_variables.removal import (
+    Corrected,
+    with_spectral_weights,
+    without_input_noise,
+)
 from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS, PROFILE_SEARCH
 from casid.estimation.residual_spectrum import residual_autoregressions
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -88,6 +92,8 @@ def bootstrapped(
             )
             if found.is_removed:
                 again = without_input_noise(again, known, seed=settings.seed).fit
+            elif found.weights is not None:
+                again = with_spectral_weights(Corrected(again)).fit
         except OutOfTimeError:
             break
         except CasidError:

@@ -29,6 +29,8 @@ SOURCES = (
     "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: simulation error",
     "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
     "D. W. K. Andrews, Econometrica 59 (1991) 817-858: its bandwidth",
+    "A. C. Aitken, Proc. Roy. Soc. Edinburgh 55 (1935) 42-48: generalised least squares",
+    "J. A. Hausman, Econometrica 46 (1978) 1251-1271: whether a model is right for it",
     "R. Pintelon, J. Schoukens, System Identification, 2nd ed., Wiley 2012: errors in variables",
     "A. Waechter, L. T. Biegler, Math. Program. 106 (2006) 25-57: Ipopt",
     "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",
@@ -43,6 +45,10 @@ ASSUMES = (
 COLOURED = (
     "least squares under the spectrum of the residual, an autoregression of order {orders}: "
     "residuals of zero mean, stationary"
+)
+WEIGHTED = (
+    "generalised least squares by the spectrum of the residual, an autoregression of order "
+    "{orders}, robust to what correlation is left: residuals of zero mean, stationary"
 )
 BIASED = "; the bias from noise on measured inputs is not included"
 CORRECTED = (
