@@ -33,7 +33,7 @@ from casid.estimation.nlp.solver import Solver
 from casid.estimation.residual_spectrum import (
     Autoregression,
     coloured_covariance,
-    residual_autoregressions,
+    orders_text,
 )
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -58,12 +58,12 @@ class SpectralWeights:
     Attributes
     ----------
     fit : the minimum of (1), whose criterion whitens.
-    orders : of the autoregressions, one an output.
+    models : the autoregressions, one an output.
     gained : the parameter that becomes the most certain, and by what factor.
     """
 
     fit: Fit
-    orders: tuple[int, ...]
+    models: list[Autoregression]
     gained: tuple[str, float]
 
     @property
@@ -71,7 +71,7 @@ class SpectralWeights:
         """What was done, and why."""
         name, factor = self.gained
         return (
-            f"the residual is coloured (autoregression of order {orders_text(self.orders)}); "
+            f"the residual is coloured (autoregression of order {orders_text(self.models)}); "
             f"weighted by its spectrum, the estimate of {name} has {1 / factor:.2g} times the "
             "standard error of plain least squares"
         )
@@ -80,11 +80,6 @@ class SpectralWeights:
         """(n, n) of the estimate, robust to what correlation the whitened residual has left."""
         at = self.fit
         return sandwich(at.solution.hessian, at.criterion.scores(at.x), free)[0]
-
-
-def orders_text(orders: Sequence[int]) -> str:
-    """Orders of the outputs' autoregressions in words."""
-    return " and ".join(map(str, orders))
 
 
 def weighted_by_spectrum(fit: Fit) -> SpectralWeights | str:
@@ -101,7 +96,6 @@ def weighted_by_spectrum(fit: Fit) -> SpectralWeights | str:
     if criterion.segments > 1 or solution.constraint_jacobian.size or not solution.is_converged:
         return ""
     free = solution.is_free
-    models, _ = residual_autoregressions(fit, free)
     plain = coloured_covariance(fit, free)
     mine = [
         i
@@ -110,7 +104,8 @@ def weighted_by_spectrum(fit: Fit) -> SpectralWeights | str:
     ]
     if plain is None or not mine:
         return ""
-    orders, plain_errors = plain[1], np.sqrt(np.diag(plain[0])[mine])
+    of_plain, models = plain
+    plain_errors = np.sqrt(np.diag(of_plain)[mine])
     weighted = _whitened(criterion, models, fit)
     at_fit = _covariance(weighted.evaluate(fit.x).hessian, free)
     if np.max(plain_errors / np.sqrt(np.maximum(np.diag(at_fit)[mine], TINY))) < GAIN:
@@ -118,13 +113,13 @@ def weighted_by_spectrum(fit: Fit) -> SpectralWeights | str:
     found = minimize_simulation_error(weighted, solver=_NEAR, check_rank=False, throw=False)
     if not found.solution.is_converged or not np.array_equal(found.solution.is_free, free):
         return ""
-    result = SpectralWeights(found, orders, ("", 1.0))
+    result = SpectralWeights(found, models, ("", 1.0))
     covariance = result.covariance(free)
     gains = plain_errors / np.sqrt(np.maximum(np.diag(covariance)[mine], TINY))
     best = int(np.argmax(gains))
     if gains[best] < GAIN:
         return ""
-    why = _why_no_noise(found, mine) or _why_not_the_same(fit, found, mine, plain[0], covariance)
+    why = _why_no_noise(found, mine) or _why_not_the_same(fit, found, mine, of_plain, covariance)
     if why:
         return f"the residual is coloured, but {why}: the model is incomplete (casid diagnose)"
     return replace(result, gained=(criterion.names[mine[best]], float(gains[best])))

@@ -259,6 +259,11 @@ def residual_autoregressions(fit: Fit, free: Array) -> tuple[list[Autoregression
     return _autoregressions(fit, _weighted(fit), free)
 
 
+def orders_text(models: Sequence[Autoregression]) -> str:
+    """Orders of the outputs' autoregressions in words."""
+    return " and ".join(str(m.order) for m in models)
+
+
 def has_same_samples(fit: Fit) -> bool:
     """Whether all outputs of a fit have the same samples."""
     return all(bool((d.used == d.used[:, :1]).all()) for d in fit.criterion.data)
@@ -287,8 +292,8 @@ def _autoregressions(
     return models, _innovations(together, models)
 
 
-def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
-    """(1) of a fit and the orders of its autoregressions; None where every residual is white.
+def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, list[Autoregression]] | None:
+    """(1) of a fit, and its autoregressions by output; None where every residual is white.
 
     Wider by `_student_factors`: intervals of 1.96 standard errors hold what they say. Missing
     samples are passed over as in `residual_autoregressions`.
@@ -316,7 +321,7 @@ def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] 
     wider = _student_factors(under, models, samples)
     out = np.zeros((n, n))
     out[np.ix_(index, index)] = under(models) * np.outer(wider, wider)
-    return out, tuple(m.order for m in models)
+    return out, models
 
 
 def _student_factors(

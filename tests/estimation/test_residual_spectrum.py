@@ -186,7 +186,7 @@ def test_missing_samples_are_passed_over() -> None:
         covariance = coloured_covariance(fit, np.ones(len(fit.x), dtype=bool))
         assert covariance is not None
         found.append(covariance)
-    assert found[0][1] == found[1][1]
+    assert [m.order for m in found[0][1]] == [m.order for m in found[1][1]]
     assert found[0][0] == pytest.approx(found[1][0], rel=1e-3)
 
 

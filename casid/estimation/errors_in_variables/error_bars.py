@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from casid.arrays import Array
 from casid.estimation.errors_in_variables.removal import Corrected
-from casid.estimation.generalised_least_squares import orders_text
-from casid.estimation.residual_spectrum import coloured_covariance
+from casid.estimation.residual_spectrum import Autoregression, coloured_covariance, orders_text
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
     ASSUMES,
@@ -30,7 +29,7 @@ def error_bars(found: Corrected) -> ErrorBars:
     if found.is_removed:
         return ErrorBars(CORRECTED, found.covariance, found.whiten)
     if found.weights is not None:
-        orders = orders_text(found.weights.orders)
+        orders = orders_text(found.weights.models)
         return ErrorBars(WEIGHTED.format(orders=orders), found.covariance, found.whiten)
     fit, assumes = found.fit, ASSUMES + BIASED if found.why_not else ASSUMES
     coloured = covariance_under_colour(fit, fit.solution.is_free)
@@ -40,8 +39,8 @@ def error_bars(found: Corrected) -> ErrorBars:
     return ErrorBars(assumes.replace(ASSUMES, in_words), coloured[0])
 
 
-def covariance_under_colour(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
-    """Covariance (n, n) of a fit with a coloured residual, and the autoregression's orders.
+def covariance_under_colour(fit: Fit, free: Array) -> tuple[Array, list[Autoregression]] | None:
+    """Covariance (n, n) of a fit with a coloured residual, and its autoregressions.
 
     None where the residual is white, or the fit is in segments or under constraints.
     """
