@@ -128,9 +128,7 @@ def rejudge(
         at, fit=base_fit, noise=noise, full=noise, input_sd=weighing.input_sd(noise, criterion)
     )
     out = []
-    for c in found[:count]:
-        if c is not best and c.gain <= COMPARISON.relative_gain * best.gain:
-            continue
+    for c in leaders_of(found, count):
         judged = refitting.attempts.attempt(
             name_of(c.effect), partial(_judged_again, refitting, again, c)
         )
@@ -142,6 +140,21 @@ def rejudge(
     if out[0].effect.key != best.effect.key and rounds > 1:
         return rejudge(refitting, at, out, count, rounds - 1)
     return out
+
+
+def leaders_of(found: Sequence[Candidate], count: int) -> list[Candidate]:
+    """So many of the best, and all that gain more than the first of them, whatever they cost.
+
+    Where misfit counts as noise, gains are too small, and costs are not. Who explains far less than
+    the first is none.
+    """
+    best = found[0]
+    least = COMPARISON.relative_gain * best.gain
+    return [
+        c
+        for i, c in enumerate(found)
+        if c is best or c.gain > (least if i < count else max(best.gain, least))
+    ]
 
 
 def on_common_samples(found: Sequence[Candidate]) -> list[Candidate]:

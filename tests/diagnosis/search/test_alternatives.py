@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 import casid
 from casid.diagnosis.search.alternatives import (
     laws_before_memory,
+    leaders_of,
     near_ones,
     p_value,
     rivals_of,
@@ -169,3 +170,13 @@ def test_of_a_bias_and_a_gain_about_where_a_level_stays_the_bias_is_named() -> N
     assert ("sensor_scale", "level") in [(r.kind, r.where) for r in cause.alternatives]
     size = cause.parameters[0]
     assert size.value == pytest.approx(-0.1, abs=4 * size.std_error)
+
+
+def test_an_effect_that_costs_more_than_it_gains_at_first_is_compared_again() -> None:
+    """Under a noise that holds the misfit, gains are small beside what an instant costs."""
+    best, second = judged(LAW, 17.0, 8.0), judged(LAW, 15.0, 8.0)
+    jump, poor = judged(JUMP, 23.0, 17.0), judged(JUMP, 16.0, 17.0)
+    feeble = judged(LAW, COMPARISON.relative_gain * 17.0 - 0.1, 0.0)
+    assert leaders_of([best, second, jump, poor], 2) == [best, second, jump]
+    assert leaders_of([best, second, jump, poor], 4) == [best, second, jump, poor]
+    assert leaders_of([best, feeble], 2) == [best]
