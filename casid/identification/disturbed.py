@@ -426,10 +426,7 @@ def _best_start(
         sensors = {n: v * share**2 for n, v in noise.items()}
         values = {**base, **sensors, **point}
         at = np.array([values[n] for n in names])
-        if isinstance(criterion, ExtendedPredictionError):
-            value = criterion.value(at)
-        else:
-            value = criterion.evaluate(at).value
+        value = criterion.value(at)
         if value < least:
             best, least = {**sensors, **point}, value
     return best

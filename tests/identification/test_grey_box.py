@@ -111,6 +111,7 @@ def test_gradient_is_that_of_the_criterion(initial: dict[str, float] | None) -> 
         numeric[i] = (c.evaluate(x + step).value - c.evaluate(x - step).value) / 2e-4
     exact = at.gradient * unit
     assert np.linalg.norm(exact - numeric) < 1e-5 * np.linalg.norm(exact)
+    assert c.value(x) == pytest.approx(at.value, rel=1e-12)
     np.testing.assert_allclose(c.scores(x).sum(axis=0), at.gradient, rtol=1e-8, atol=1e-6)
     lengths = [len(p.innovations) for p in c.predicted(x, 0)]
     if initial is None:
@@ -333,6 +334,7 @@ def test_nonlinear_model_is_fitted_near_its_rest() -> None:
     for initial in (None, {"h": 0.01}):
         c = PredictionError(model, [casid.Experiment(record)], noise, rest=rest, initial=initial)
         x, at = c.start, c.evaluate(c.start)
+        assert c.value(x) == pytest.approx(at.value, rel=1e-12)
         unit = 1 / np.sqrt(np.diag(at.hessian))
         for i, size in enumerate(unit):
             step = 1e-4 * size * np.eye(len(x))[i]

@@ -14,11 +14,13 @@ implicitly, sensitivity filters for the innovations.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypedDict
 
 import numpy as np
+from scipy import linalg
 
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
@@ -186,9 +188,7 @@ class PredictionError:
         self._near[e] = limit.P
         gain = gain_tangent(limit, tangent)
         m = len(tangent.A)
-        _, _, x0 = self._values(x, e)
-        u0 = d.u[0] if len(d.u) else np.zeros(0)
-        z = x0 - at.shift @ u0 + at.lead
+        z, u0 = self._begun(x, e, at)
         dz = np.concatenate([(at.d_lead - at.d_shift @ u0).T, np.eye(nx)], axis=1)  # (nx, m + nx)
         y = d.y - at.offset
         d_y = np.concatenate([-at.d_offset.T, np.zeros((s.ny, nx))], axis=1)  # (ny, m + nx)
@@ -200,11 +200,8 @@ class PredictionError:
             parts.append(part)
             first = len(part.innovations)
         if first < len(y):
-            K, u, y = limit.K, d.u[first:], y[first:]
-            closed = limit.A_closed
-            driven = u @ (s.B - K @ s.D).T + y @ K.T + at.drift
-            states: Array = recursion(closed, driven, z)[:-1]
-            eps = y - states @ s.C.T - u @ s.D.T
+            K, u, y, closed = limit.K, d.u[first:], y[first:], limit.A_closed
+            states, eps = _steady_innovations(at, limit, y, u, z)
             # Drives and outputs of the sensitivities are linear in [x, u, eps, 1].
             known = np.vstack([states.T, u.T, eps.T, np.ones(len(y))])[:, None]
             moved = np.concatenate(
@@ -224,6 +221,12 @@ class PredictionError:
             dF = np.concatenate([gain.F, np.zeros((nx, s.ny, s.ny))])
             parts.append(Predicted(eps, jac, limit.F[None], dF[None]))
         return parts
+
+    def _begun(self, x: Array, e: int, at: Sampled) -> tuple[Array, Array]:
+        """The predictor's first state (nx,), and the first inputs (nu,)."""
+        u = self.data[e].u
+        u0 = u[0] if len(u) else np.zeros(0)
+        return self.initial_state(x, e) - at.shift @ u0 + at.lead, u0
 
     def _transient(
         self,
@@ -310,6 +313,27 @@ class PredictionError:
             return Evaluation(np.nan, np.full(n, np.nan), np.full((n, n), np.nan))
         return Evaluation(value, gradient, hessian)
 
+    def value(self, x: Array) -> float:
+        """(1) at `x` (n,) alone, without derivatives; NaN where no predictor exists."""
+        if self.initial is not None:
+            return self.evaluate(x).value
+        value = self.offset
+        try:
+            with np.errstate(all="ignore"):
+                for e, d in enumerate(self.data):
+                    p, variances, _ = self._values(x, e)
+                    at = self.noisy.sampled(p, variances, d.Ts, [False] * len(self.free))
+                    limit = steady_state(at.system, self._near.get(e))
+                    z, _ = self._begun(x, e, at)
+                    _, eps = _steady_innovations(at, limit, d.y - at.offset, d.u, z)
+                    lower = np.linalg.cholesky(limit.F)
+                    white = linalg.solve_triangular(lower, eps.T, lower=True)
+                    value += 0.5 * float(np.sum(white**2))
+                    value += len(eps) * float(np.sum(np.log(np.diag(lower))))
+        except (ModelError, np.linalg.LinAlgError, ValueError):
+            return math.nan
+        return value
+
     def scores(self, x: Array) -> Array:
         """(sum of N, n) derivatives of each sample's term in (1), experiments stacked."""
         out = []
@@ -334,6 +358,16 @@ class PredictionError:
         """log of the Gaussian density of all records."""
         value = self.evaluate(x).value - self.offset
         return float(-value - 0.5 * self.n_samples * np.log(2 * np.pi))
+
+
+def _steady_innovations(
+    at: Sampled, limit: Predictor, y: Array, u: Array, z: Array
+) -> tuple[Array, Array]:
+    """States (N, nx) and errors (N, ny) of the steady-state predictor from the state z (nx,)."""
+    s, K = at.system, limit.K
+    driven = u @ (s.B - K @ s.D).T + y @ K.T + at.drift
+    states: Array = recursion(limit.A_closed, driven, z)[:-1]
+    return states, y - states @ s.C.T - u @ s.D.T
 
 
 def _combine(weights: Array, signals: Array, out: Array) -> None:
