@@ -68,7 +68,8 @@ def find_peaks(
     -----
     Records are searched apart: a clock of its own gives each another phase. A line at the same
     frequency in two of them comes once, where it is more significant. The lowest three lines are
-    left to trends. Records of fewer than 64 samples are too short for a level and give no peak.
+    left to trends. Records of fewer than 64 samples are too short for a level and give no peak. An
+    output that is sampled in one row of several is searched up to half its own rate.
     """
     tried = sum(r.shape[1] for r in residuals)
     found: list[Peak] = []
@@ -99,10 +100,10 @@ def _peaks_of(
     e: Array, Ts: float, most: int, neighbours: tuple[int, int]
 ) -> list[tuple[float, float, float, float]]:
     """(frequency, amplitude, power over level, p) of the largest peaks of one column (N,)."""
-    N = len(e)
-    if N < PEAKS.shortest or not np.any(e):
+    N, every = len(e), _own_clock(e)
+    if N < PEAKS.shortest * every or not np.any(e):
         return []
-    lines = np.arange(PEAKS.first, N // 2)
+    lines = np.arange(PEAKS.first, N // (2 * every))
     shape = _smooth_shape(e)  # (PEAKS.finer N / 2 + 1,)
     raw = np.abs(np.fft.rfft(e)) ** 2 / N / shape[:: PEAKS.finer][: N // 2 + 1]
     level, n, r = _levels(raw, lines, neighbours)
@@ -124,6 +125,15 @@ def _peaks_of(
         wave = np.column_stack([np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)])
         e = e - wave @ np.linalg.lstsq(wave, e, rcond=None)[0]
     return out
+
+
+def _own_clock(e: Array) -> int:
+    """Rows from one used sample to the next, as a rule: half that rate is the highest frequency.
+
+    What lies beyond is the image of a lower one, as zeros stand between the samples.
+    """
+    used = np.flatnonzero(e)
+    return int(np.median(np.diff(used))) if len(used) > 1 else 1
 
 
 def _smooth_shape(e: Array) -> Array:

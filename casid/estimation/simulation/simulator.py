@@ -301,12 +301,12 @@ class Simulator:
 
     def _widened(self, flat: Array, ny: int) -> Array:
         """Sensitivities as (N, ny, nv), of each sample in one row."""
-        dy = flat.reshape(len(flat), -1, ny) if ny else np.zeros((len(flat), self.nv, 0))
+        dy = flat.reshape(len(flat), len(self._columns()), ny)
         return self._placed(dy.transpose(0, 2, 1))
 
     def _placed(self, dy: Array) -> Array:
         """(N, ny, nv), zeros for initial states that no output depends on."""
-        if not dy.shape[1] or len(self._felt) == self.nx:
+        if len(self._felt) == self.nx:
             return dy
         out = np.zeros((*dy.shape[:2], self.nv))
         out[:, :, self._columns()] = dy

@@ -85,6 +85,17 @@ def test_two_sinusoids_are_two_peaks_and_the_greater_does_not_hide_the_other():
     assert [p.frequency for p in found] == pytest.approx([4.01, 9.3], abs=0.02)
 
 
+def test_an_output_with_a_slower_clock_has_no_peak_beyond_half_its_own_rate():
+    """Zeros between its samples repeat a line of 0.4 Hz at 4.6, 5.4 and 9.6 Hz, as high."""
+    rng, N, every = np.random.default_rng(9), 4000, 4
+    t = 0.05 * np.arange(N)
+    e = 1.5 * np.sin(2 * np.pi * 0.4 * t + 0.3) + rng.standard_normal(N)
+    e[np.arange(N) % every != 0] = 0.0
+    found = find_peaks([e[:, None]], [0.05])
+    assert [p.frequency for p in found] == pytest.approx([0.4], abs=0.01)
+    assert find_peaks([e[: 60 * every, None]], [0.05]) == []
+
+
 def test_a_short_record_or_nothing_at_all_has_no_peak():
     assert find_peaks([np.ones((40, 1))], [Ts]) == []
     assert find_peaks([np.zeros((400, 1))], [Ts]) == []

@@ -46,6 +46,27 @@ def every_effect() -> tuple[casid.Model, list[str], dict[str, float]]:
     return model, names, {n: 0.0 for n, e in zip(names, effects, strict=True) if e.has_states}
 
 
+def test_where_nothing_steps_tangents_have_a_column_for_every_unknown(monkeypatch):
+    """A state that is held from acting has one of zeros, also of the values before a step.
+
+    By the steps themselves and along the known motion, of which one gave fewer columns.
+    """
+    m = casid.Model("store and a part of it")
+    x, q, push = m.state("x", "m"), m.state("q", "m"), m.input("push", "m/s", hold="zoh")
+    share = m.parameter("share", "1/s", start=0.0)
+    m.derivative(x, push - 0.3 * x + share * q)
+    m.derivative(q, x - q)
+    m.output("level", x, "m")
+    N = 12
+    for width in (np.inf, 0):
+        monkeypatch.setattr(simulator, "WIDE", width)
+        s = Simulator(m, TS, ["share"], pinned={"share": 0.0})
+        run = s.sensitivities(np.ones((N, 1)), np.zeros(1), np.full(2, 0.1))
+        assert run.dy.shape == (N, 1, 3)
+        assert run.dbefore.shape == (N, 0, 3)
+        assert not run.dy[:, :, 2].any()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("substeps", "at_a_time"), [(1, 2_000_000), (3, 1)])
 def test_tangents_of_a_whole_catalogue_are_those_of_one_step(monkeypatch, substeps, at_a_time):
