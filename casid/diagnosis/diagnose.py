@@ -201,7 +201,9 @@ def _judged_or_whole(
 ) -> tuple[Findings, Judgement, list[str]]:
     """Findings with their verdict; those of whole records where what was held out alone errs.
 
-    A note says then that nothing is held out. The level is that of the search, calibrated or not.
+    These count where their causes are more, or other ones that leave noise of all of it: the first
+    ones fit their part and fail in the rest. A note says then that nothing is held out. The level
+    is that of the search, calibrated or not.
     """
     judged = _judged(problem, found, settings)
     if split.apart or not errs_in_held_out_alone(found, judged):
@@ -213,7 +215,7 @@ def _judged_or_whole(
         of_whole = _judged(problem, again, settings)
     except OutOfTimeError:
         return found, judged, []
-    if len(of_whole.causes) <= len(judged.causes):
+    if not _explains_more(of_whole, judged):
         return found, judged, []
     note = (
         f"the model that fits the first {100 * float(np.mean(~split.held[0])):.0f} % of each "
@@ -221,6 +223,15 @@ def _judged_or_whole(
         "left to confirm them"
     )
     return again, of_whole, [note]
+
+
+def _explains_more(of_whole: Judgement, of_part: Judgement) -> bool:
+    """True of causes of whole records that are more, or others that leave nothing but noise."""
+    named, before = ({(c.kind, c.where) for c in of.causes} for of in (of_whole, of_part))
+    remainder = of_whole.remainder
+    is_all = remainder is not None and remainder.p_value >= remainder.level
+    is_other = bool(named) and named != before and is_all
+    return len(of_whole.causes) > len(of_part.causes) or is_other
 
 
 def _concluded(

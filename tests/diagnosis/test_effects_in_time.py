@@ -166,7 +166,7 @@ def test_what_sets_in_there_is_found_beside_what_was_there_from_the_beginning():
 def test_whole_records_are_searched_at_the_level_of_the_calibration(monkeypatch):
     """Where null records ask for a smaller one, what is repeated has no larger one."""
     levels = []
-    judged = SimpleNamespace(causes=())
+    judged = SimpleNamespace(causes=(), remainder=None)
 
     def searched(problem: object, split: Split, settings: DiagnosisSettings) -> SimpleNamespace:
         levels.append(settings.alpha)
@@ -181,3 +181,36 @@ def test_whole_records_are_searched_at_the_level_of_the_calibration(monkeypatch)
     kept = diagnosing._judged_or_whole(slide(), found, split, DiagnosisSettings(alpha=0.05))
     assert levels == [0.01]
     assert kept == (found, judged, [])
+
+
+@pytest.mark.parametrize(
+    ("of_part", "of_whole", "p_value", "is_whole"),
+    [
+        (["sensor_bias"], ["offset"], 0.4, True),  # others, which leave noise
+        (["sensor_bias"], ["offset"], 1e-6, False),  # others, which do not
+        (["sensor_bias"], ["sensor_bias"], 0.4, False),  # the same ones: the held-out part stays
+        (["sensor_bias", "deadzone"], ["offset"], 0.4, True),
+        (["sensor_bias"], [], 0.4, False),
+        (["sensor_bias"], ["sensor_bias", "offset"], 1e-6, True),  # more of them
+    ],
+)
+def test_causes_of_the_whole_record_count_where_they_explain_it(
+    monkeypatch, of_part, of_whole, p_value, is_whole
+):
+    """Where those of the first part fail in the rest, as all cases here suppose."""
+
+    def verdict(kinds: list[str]) -> SimpleNamespace:
+        remainder = SimpleNamespace(p_value=p_value, level=0.01)
+        causes = [SimpleNamespace(kind=kind, where="force") for kind in kinds]
+        return SimpleNamespace(causes=causes, remainder=remainder)
+
+    found = SimpleNamespace(search=SimpleNamespace(alpha=0.05))
+    again = SimpleNamespace()
+    first, second = verdict(of_part), verdict(of_whole)
+    monkeypatch.setattr(diagnosing, "_searched", lambda *_: again)
+    monkeypatch.setattr(diagnosing, "_judged", lambda _, of, __: first if of is found else second)
+    monkeypatch.setattr(diagnosing, "errs_in_held_out_alone", lambda *_: True)
+    split = split_records([casid.Experiment(record(), {}, "r")], 0.3)
+    kept, judged, notes = diagnosing._judged_or_whole(slide(), found, split, DiagnosisSettings())
+    assert (kept, judged) == ((again, second) if is_whole else (found, first))
+    assert bool(notes) == is_whole
