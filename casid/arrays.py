@@ -1,6 +1,8 @@
-"""The array types of annotations, and numbers: divisors next to zero, and what JSON can hold."""
+"""The array types of annotations, rows between cuts, divisors next to zero, what JSON can hold."""
 
 import math
+from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -34,3 +36,15 @@ def require_finite(what: str, *arrays: Array) -> None:
 def finite_or_none(value: float) -> float | None:
     """The number, or None where it is infinite or not a number: what JSON can hold."""
     return float(value) if math.isfinite(value) else None
+
+
+def rows_between(cuts: Iterable[int]) -> list[slice]:
+    """The rows from each cut to the next."""
+    return [slice(int(first), int(last)) for first, last in pairwise(cuts)]
+
+
+def basis_of(columns: Array) -> Array:
+    """(N, r) orthonormal basis of columns (N, k), which may be nearly dependent."""
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", columns, columns), TINY))
+    u, s, _ = np.linalg.svd(columns / size, full_matrices=False)
+    return np.asarray(u[:, s > 1e-8 * s[:1]])

@@ -363,12 +363,12 @@ class _Search:
         out = []
         for r, (_, Ts) in zip(self.noise.responses, self.records, strict=True):
             assert r.gain is not None
-            gain2, gain = r.gain2.copy(), r.gain.copy()
+            shapes = np.ones((len(r.omega), len(r.sources)))
             for name, spectrum in found.items():
-                shape, j = spectrum.at(r.omega, Ts), r.sources.index(name)
-                gain2[:, :, j] *= shape[:, None]
-                gain[:, :, j] *= np.sqrt(shape)[:, None]
-            out.append(replace(r, gain2=gain2, gain=gain))
+                shapes[:, r.sources.index(name)] = spectrum.at(r.omega, Ts)
+            gain2, gain = r.gain2 * shapes[:, None], r.gain * np.sqrt(shapes)[:, None]
+            cross = None if r.cross is None else r.cross * shapes[:, None, None]
+            out.append(replace(r, gain2=gain2, gain=gain, cross=cross))
         return out
 
     def _in_bands(self, spectra: Sequence[DisturbanceSpectrum]) -> Array:

@@ -229,6 +229,9 @@ class NoiseModel:
         r = self.responses[experiment]
         if len(self.output_sd) == 1:
             return self.spectrum(experiment)[:, :, None]
+        if r.cross is not None:
+            variances = np.array([self.source_sd[s] ** 2 for s in r.sources])
+            return np.asarray(r.cross @ variances + np.diag(self.output_sd**2))
         assert r.gain is not None
         g = r.gain * np.array([self.source_sd[s] for s in r.sources])
         return np.asarray(g @ g.conj().swapaxes(1, 2) + np.diag(self.output_sd**2))

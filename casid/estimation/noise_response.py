@@ -8,19 +8,20 @@ speed. Whatever acts in one balance alone moves two outputs in proportion, frequ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 from scipy.fft import rfft
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.estimation.filled_noise import filled_spectrum
 from casid.estimation.simulation.band_limited import responses_between
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import band_limited, rk4_sample
+from casid.estimation.windowed_response import windowed_spectra
 from casid.model.declarations import Input
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
@@ -38,6 +39,7 @@ class Response:
     gain2: Array  # (F, ny, ns) squared magnitudes
     sources: tuple[str, ...]
     gain: Array | None = None  # (F, ny, ns) complex, where several outputs are whitened together
+    cross: Array | None = None  # (F, ny, ny, ns) spectra where they are no products of gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,13 +109,45 @@ def noise_response(
         rhs = rhs + np.einsum("fk,kxu->fxu", course, inside)
     rhs = rhs @ enters
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
-    g = g * _sensor_stages(criterion, x, experiment, len(omega) - 1)[:, :, None]
+    sensors = _sensor_stages(criterion, x, experiment, len(omega) - 1)
+    own = np.ones((len(omega), g.shape[2]))
     for name in set(measured) & set(d.filled):
         spectrum = filled_spectrum(d.filled[name], model.inputs[name].hold, omega)
-        g[:, :, measured.index(name)] *= np.sqrt(spectrum)[:, None]
-    if d.sizes is not None:  # errors count in units of the noise, on average as the slopes do
-        g = g * np.mean(1 / d.sizes, axis=0)[:, None]
-    return Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
+        own[:, measured.index(name)] = np.sqrt(spectrum)
+    g = g * sensors[:, :, None] * own[:, None, :]
+    found = Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
+    if not criterion.is_cut(experiment):
+        return found
+    samples = int(np.median(np.diff([0, *criterion.starts_anew(experiment), d.N])))
+    cross = windowed_spectra(_entering(means, enters), samples, criterion.weights, omega)
+    cross *= np.einsum("fi,fk,fj->fikj", sensors, sensors.conj(), own**2)
+    return _with_spectra(found, cross)
+
+
+def _with_spectra(found: Response, cross: Array) -> Response:
+    """The response with these spectra in the place of products of its gains."""
+    assert found.gain is not None
+    gain2 = np.einsum("fiij->fij", cross).real
+    gain = found.gain * np.sqrt(gain2 / np.maximum(found.gain2, TINY))
+    return replace(found, gain2=gain2, gain=gain, cross=cross)
+
+
+def _entering(means: tuple[Array, ...], enters: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """A, B0, B1, C, D of a sample from the sources, of mean slopes and `_input_stages`.
+
+    What is band-limited enters as if straight lines joined it, and of stages the size alone counts.
+    """
+    a, b0, b1, inside, c, dd = means
+    b0, b1 = _on_lines(b0, b1, inside)
+    direct = np.sqrt(np.mean(np.abs(enters) ** 2, axis=0))
+    return a, b0 @ direct, b1 @ direct, c, dd @ direct
+
+
+def _on_lines(b0: Array, b1: Array, inside: Array) -> tuple[Array, Array]:
+    """How inputs enter at a sample and the next one, those in between joined by straight lines."""
+    shares: Array = np.arange(1, len(inside) + 1) / (len(inside) + 1)
+    shares = shares.reshape(-1, *[1] * (inside.ndim - 1))
+    return b0 + np.sum((1 - shares) * inside, axis=0), b1 + np.sum(shares * inside, axis=0)
 
 
 def _mean_slopes(
@@ -154,8 +188,7 @@ def steps_along(criterion: SimulationError, x: Array, experiment: int) -> Steps 
     states = criterion.simulated(x, experiment).x
     a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, d.u, ahead)
     # What a band-limited input does between its samples is taken as on a straight line here.
-    shares = np.arange(1, len(inside) + 1)[:, None, None, None] / (len(inside) + 1)
-    b0, b1 = b0 + np.sum((1 - shares) * inside, axis=0), b1 + np.sum(shares * inside, axis=0)
+    b0, b1 = _on_lines(b0, b1, inside)
     a, b0, b1, c, dd = (np.ascontiguousarray(m.swapaxes(0, 1)) for m in (a, b0, b1, c, dd))
     forced = places_of_forces(criterion.model)
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
@@ -281,7 +314,10 @@ def _input_stages(
 
 
 def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int) -> Array:
-    """H (n + 1, ny) of what each output's sensor passes on, on 0..pi; clipping left out."""
+    """H (n + 1, ny) of what each output's sensor passes on, on 0..pi; clipping left out.
+
+    Errors count in units of the noise, on average as the slopes do.
+    """
     out = np.ones((n + 1, len(criterion.outputs)), dtype=complex)
     back = (-1.0) ** np.arange(n + 1)  # the pulse comes in the middle
     for stage in criterion.model.stages:
@@ -292,7 +328,8 @@ def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int
         value = criterion.value_of(stage.parameter, x, experiment)
         through_sensor(stage.kind, y, None, value, criterion.data[experiment].Ts, -1)
         out[:, criterion.outputs.index(stage.channel)] *= back * rfft(y)
-    return out
+    sizes = criterion.data[experiment].sizes
+    return out if sizes is None else out * np.mean(1 / sizes, axis=0)
 
 
 def places_of_forces(model: Model) -> tuple[str, ...]:

@@ -31,9 +31,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.stats import t as student
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, basis_of
 from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
-from casid.diagnosis.evidence.window_states import basis_of, left_by_states, states_of_windows
+from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
 from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance

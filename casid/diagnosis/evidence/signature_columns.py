@@ -64,8 +64,9 @@ class Columns:
             y = at.y[:, i]
             extra[:, i, j] = (np.clip(y, -effect.variant, effect.variant) - y) * d.used[:, i]
         ny, n = len(wide.outputs), len(self.candidate)
+        anew = wide.starts_anew(k)
         for j, (_, i) in enumerate(self.late, len(self.clipped)):
-            extra[:, i, j] = -slope(at.y[:, i], d.Ts, backward=True) * d.used[:, i]
+            extra[:, i, j] = -slope(at.y[:, i], d.Ts, backward=True, anew=anew) * d.used[:, i]
         psi = np.empty((len(at.y), ny, n + extra.shape[2]))
         for first in range(0, n, GROUP):
             group = slice(first, min(first + GROUP, n))

@@ -120,7 +120,7 @@ class Regression:
         table = dict(variables_of(criterion, self.experiments, self.recorded, k, at, d))
         if self.place in criterion.outputs:
             y = at.y[:, criterion.outputs.index(self.place)]
-            own = slope(y, d.Ts, backward=bool(self._late))
+            own = slope(y, d.Ts, backward=bool(self._late), anew=criterion.starts_anew(k))
             table |= {self.place: y, f"slope of {self.place}": own}
             table |= {name: one_sample_late(table[name]) for name in self._late}
             of_late = {f"slope of {name}": name for name in self._late}

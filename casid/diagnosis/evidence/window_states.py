@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import Array, basis_of
 from casid.estimation.simulation.simulation_error import SimulationError
 
 
@@ -24,13 +24,6 @@ def states_of_windows(criterion: SimulationError, columns: Sequence[int]) -> lis
         return []
     sources = [criterion.variables[i].source for i in columns]
     return [k for k, source in enumerate(sources) if source in criterion.model.states]
-
-
-def basis_of(columns: Array) -> Array:
-    """(N, r) orthonormal basis of columns (N, k), which may be nearly dependent."""
-    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", columns, columns), TINY))
-    u, s, _ = np.linalg.svd(columns / size, full_matrices=False)
-    return np.asarray(u[:, s > 1e-8 * s[:1]])
 
 
 def left_by_states(begun: Array, moved: Array) -> Array:

@@ -35,6 +35,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import Regression, Tested, require_place
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES, TERMS
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
+from casid.estimation.feedback import slope
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
 
@@ -292,7 +293,8 @@ def joined_table(
         table = variables_of(criterion, experiments, recorded, k, sim, d)
         if place in criterion.outputs:
             y = sim.y[:, criterion.outputs.index(place)]
-            table |= {place: y, f"slope of {place}": np.gradient(y, d.Ts)}
+            own = slope(y, d.Ts, backward=False, anew=criterion.starts_anew(k))
+            table |= {place: y, f"slope of {place}": own}
         tables.append(table)
     joined = {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}
     return {name: v for name, v in joined.items() if np.ptp(v) > 1e-12 * np.max(np.abs(v))}

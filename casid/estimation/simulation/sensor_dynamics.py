@@ -62,6 +62,10 @@ class Before:
     y: Array  # (N,)
     jac: Array | None = None  # (N, n)
 
+    def part(self, rows: slice) -> Before:
+        """The same of these rows."""
+        return Before(self.y[rows], None if self.jac is None else self.jac[rows])
+
 
 def through_sensor(
     kind: str,

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, rows_between
 from casid.data.experiment import Experiment
 from casid.errors import DataError
 from casid.estimation.nlp.solution import Evaluation
@@ -290,6 +290,10 @@ class SimulationError:
         window = self.experiments[experiment].window
         return len(window_cuts(self.data[experiment].N, window)) - 1 if window else self.segments
 
+    def is_cut(self, experiment: int) -> bool:
+        """True of an experiment in windows, which no constraint joins."""
+        return self.parts(experiment) > 1 and not self.joined
+
     def starts_anew(self, experiment: int) -> Array:
         """(parts - 1,) the samples at which the simulation of one experiment starts anew."""
         return np.asarray(self._cuts[experiment][1:-1])
@@ -354,7 +358,8 @@ class SimulationError:
             i: Before(before[:, k], None if dbefore is None else dbefore[:, k])
             for k, i in enumerate(stepping)
         }
-        self._through_sensors(y, jac, p, d, self._index[experiment][0], steps)
+        parts = rows_between([0, d.N] if self.joined else cuts)
+        self._through_sensors(y, jac, p, d, self._index[experiment][0], steps, parts)
         at_own_instants(y, jac, d.instants, steps, cuts)
         return y, states, jac
 
@@ -388,8 +393,12 @@ class SimulationError:
         d: Signals,
         index: Array,
         steps: dict[int, Before],
+        parts: Sequence[slice],
     ) -> None:
-        """Apply the model's sensor stages in place; behind the first one nothing steps any more."""
+        """Apply the model's sensor stages in place; behind the first one nothing steps any more.
+
+        A sensor that is late knows nothing of the window before: that ends in another state.
+        """
         names = self._simulators[d.Ts].equations.parameters
         for stage in self.model.stages:
             if stage.is_of_input:
@@ -397,9 +406,11 @@ class SimulationError:
             c = self.outputs.index(stage.channel)
             value = p[names.index(stage.parameter)]
             place = index[self.free.index(stage.parameter)] if stage.parameter in self.free else -1
-            of_column = None if jac is None else jac[:, c, :]
             before = None if stage.kind == "clip" else steps.pop(c, None)
-            through_sensor(stage.kind, y[:, c], of_column, value, d.Ts, int(place), before)
+            for rows in parts:
+                of_column = None if jac is None else jac[rows, c, :]
+                own = None if before is None else before.part(rows)
+                through_sensor(stage.kind, y[rows, c], of_column, value, d.Ts, int(place), own)
 
     def simulated(self, x: Array, experiment: int, *, signals: Signals | None = None) -> Simulated:
         """Residuals and sensitivities of one experiment, unweighted."""

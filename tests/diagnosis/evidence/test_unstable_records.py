@@ -15,8 +15,11 @@ from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.evidence.unstable_records import in_windows
+from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
 from casid.diagnosis.search.joint_refit import Refitting
+from casid.estimation.feedback import slope
 from casid.estimation.holdout import _per_window, restarts, split_records
+from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.instability import growth_rate, window_for
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -251,6 +254,55 @@ def test_a_late_sensor_of_an_unstable_plant_is_named_with_its_delay():
     assert (cause.kind, cause.where) == ("time_delay", "phi")
     (delay,) = cause.parameters
     assert abs(delay.value - TS) < 3.5 * delay.std_error
+
+
+def test_a_late_sensor_shows_nothing_of_the_window_before():
+    """That ends in another state than the next one begins in, which its own states foretell."""
+    record, late = upright(N=400), problem().model
+    late = late.extend(casid.time_delay(late, "phi", longest=5 * TS))
+    late = late.extend(casid.sensor_lag(late, "gyro", longest=5 * TS))
+    values = {"delay_phi": 1.3 * TS, "lag_gyro": 2.0 * TS}
+    c = SimulationError(late, [casid.Experiment(record, window=100)], start=values)
+    jacobian = c.simulated(c.start, 0).jacobian
+    states = [i for i, v in enumerate(c.variables) if v.source in late.states]
+    for window in range(4):
+        own = states[2 * window : 2 * window + 2]
+        rows = np.zeros(record.N, dtype=bool)
+        rows[100 * window : 100 * window + 100] = True
+        assert not jacobian[~rows][:, :, own].any()
+        assert np.all(np.abs(jacobian[rows][60:, :, own]).max(axis=(0, 1)) > 0)
+
+
+def test_the_slope_of_a_simulation_has_no_jump_where_it_starts_anew():
+    t = np.arange(30.0)
+    jumps = 2.0 * t + 50.0 * (t >= 10) - 80.0 * (t >= 20)
+    for backward in (False, True):
+        parts = slope(jumps, 0.5, backward=backward, anew=[10, 20])
+        assert parts == pytest.approx(np.full(30, 4.0))
+
+
+def test_the_spectrum_of_noise_in_windows_is_that_of_what_their_states_leave():
+    """Of 20 draws of 10 windows, in each of which some ten numbers are independent.
+
+    Their mean square scatters by sqrt(2 / 2000) = 3 %, and its root by half of that: 3.5 times as
+    much is allowed. The noise is so small that what it adds in a window stays linear.
+    """
+    sd, record, model = 0.002, upright(N=800), problem().model.copy()
+    model.inputs["u"] = replace(model.inputs["u"], kind="measured")
+    c = SimulationError(model, [casid.Experiment(record, window=80)])
+    x, d, rng = c.start, c.data[0], np.random.default_rng(4)
+    response = noise_response(c, x, 0)
+    spectrum = sd**2 * response.gain2[:, :, response.sources.index("u")]
+    found = np.sqrt(np.trapezoid(spectrum, response.omega, axis=0) / np.pi)
+    states = states_of_windows(c, range(len(x)))
+    begun = (c.simulated(x, 0).jacobian * c.weights[None, :, None]).reshape(-1, len(x))[:, states]
+    squares = []
+    for _ in range(20):
+        u = d.u + sd * rng.standard_normal(d.u.shape)
+        moved = c.simulate(x, 0, signals=replace(d, u=u))[0] - c.simulate(x, 0)[0]
+        left = left_by_states(begun, (moved * c.weights).ravel()).reshape(moved.shape) / c.weights
+        squares.append(np.mean(left**2, axis=0))
+    assert found == pytest.approx(np.sqrt(np.mean(squares, axis=0)), rel=0.055)
 
 
 def test_what_noise_of_an_input_leaves_is_what_initial_states_of_windows_do_not_make_up_for():
