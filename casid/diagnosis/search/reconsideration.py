@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.alternatives import rivals_of
+from casid.diagnosis.search.alternatives import on_common_samples, rivals_of
 from casid.diagnosis.search.candidates import (
     Adopted,
     Candidate,
@@ -72,6 +72,7 @@ def _rivals_beside(
         ),
     ]
     require_time("the rivals")  # one that was not refitted is no less a rival
+    found = on_common_samples(found)
     # Said relative to the cause as it was adopted, among whose gain was the misfit of the others.
     shift = a.candidate.merit - found[0].merit
     return tuple(
@@ -106,6 +107,7 @@ def better_rivals(
         for b in last.contenders[: ROUNDS.rivals]
         if (c := search.refitting.again(again, b, near=False)) is not None
     ]
+    first, *found = on_common_samples([first, *found])
     better = [c for c in found if c.merit > first.merit + COMPARISON.strong]
     most = max((c.merit for c in better), default=0.0)
     best = [c for c in better if c.merit > most - COMPARISON.strong]
