@@ -6,10 +6,9 @@ there, noise included. What comes after a sample thus goes with its noise, whate
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casid.arrays import Array, rows_between
 from casid.model.model import Model
@@ -28,15 +27,16 @@ def one_sample_late(values: Array) -> Array:
     return np.concatenate([values[:1], values[:-1]])
 
 
-def slope(values: Array, Ts: float, *, backward: bool, anew: Sequence[int] = ()) -> Array:
+def slope(values: Array, Ts: float, *, backward: bool, anew: ArrayLike = ()) -> Array:
     """(N,) slope at the samples: between the neighbours, or of what came before alone.
 
     The latter is that of the parabola through a sample and the two before it. Both are exact to
     second order. Nothing leads from one part to the next at the samples `anew`, where a simulation
     starts in another state.
     """
-    if len(anew):
-        parts = rows_between([0, *anew, len(values)])
+    cuts = np.atleast_1d(np.asarray(anew, dtype=int))
+    if len(cuts):
+        parts = rows_between([0, *cuts, len(values)])
         return np.concatenate([slope(values[rows], Ts, backward=backward) for rows in parts])
     if not backward:
         return np.asarray(np.gradient(values, Ts))
