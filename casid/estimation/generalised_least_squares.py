@@ -27,7 +27,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, basis_of
 from casid.estimation.covariance import sandwich
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.residual_spectrum import (
@@ -45,8 +45,6 @@ CONTRADICTED = 1e-3
 """Probability, by either test, below which the residual is no noise."""
 APART = 0.02
 """Eigenvalue of the difference of their correlations below which they are one estimate."""
-SPANNED = 1e-3
-"""Share of the largest singular value below which a direction is spanned by others."""
 _NEAR = Solver(options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-6})
 """A fit that begins next to its minimum."""
 
@@ -180,9 +178,9 @@ def _why_no_noise(weighted: Fit, mine: Sequence[int]) -> str:
     criterion, free = weighted.criterion, weighted.solution.is_free
     parts = [_of_motion(criterion, weighted.x, e, free, mine) for e in range(len(criterion.data))]
     residual, tangent, motion = (np.concatenate(part) for part in zip(*parts, strict=True))
-    basis = _basis(tangent)
+    basis = basis_of(tangent)
     residual = residual - basis @ (basis.T @ residual)
-    of_motion = _basis(motion - basis @ (basis.T @ motion))
+    of_motion = basis_of(motion - basis @ (basis.T @ motion))
     explained = float(np.sum((of_motion.T @ residual) ** 2))
     columns = of_motion.shape[1]
     rest = len(residual) - basis.shape[1] - columns
@@ -210,11 +208,3 @@ def _of_motion(
     white = (criterion.whiten(white, experiment) if criterion.whiten else white)[d.used]
     n = 1 + int(free.sum())
     return white[:, 0], white[:, 1:n], white[:, n:]
-
-
-def _basis(columns: Array) -> Array:
-    """(M, r) an orthonormal basis of columns (M, m), without those that the others span."""
-    size = np.linalg.norm(columns, axis=0)
-    kept = columns[:, size > 0] / size[size > 0]
-    u, s, _ = np.linalg.svd(kept, full_matrices=False)
-    return np.asarray(u[:, s > SPANNED * s.max(initial=0.0)])
