@@ -295,7 +295,7 @@ def _autoregressions(
 def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, list[Autoregression]] | None:
     """(1) of a fit, and its autoregressions by output; None where every residual is white.
 
-    Wider by `_student_factors`: intervals of 1.96 standard errors hold what they say. Missing
+    Wider by `student_factors`: intervals of 1.96 standard errors hold what they say. Missing
     samples are passed over as in `residual_autoregressions`.
 
     Parameters
@@ -318,13 +318,13 @@ def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, list[Autoregressi
         return np.asarray(sum(_coloured_products(*record, models, together) for record in gains))
 
     samples = [sum(len(record[i][0]) for record in weighted) for i in range(len(models))]
-    wider = _student_factors(under, models, samples)
+    wider = student_factors(under, models, samples)
     out = np.zeros((n, n))
     out[np.ix_(index, index)] = under(models) * np.outer(wider, wider)
     return out, models
 
 
-def _student_factors(
+def student_factors(
     under: Callable[[Sequence[Autoregression]], Array],
     models: Sequence[Autoregression],
     samples: Sequence[int],
@@ -340,7 +340,7 @@ def _student_factors(
     base = np.maximum(np.diag(under(models)), TINY)
     relative = np.zeros(len(base))
     for i, m in enumerate(models):
-        for moved in _moved(m, samples[i]):
+        for moved in moved_by_errors(m, samples[i]):
             there = [moved if k == i else other for k, other in enumerate(models)]
             relative += (np.log(np.maximum(np.diag(under(there)), TINY) / base) / MOVED) ** 2
     relative = np.nan_to_num(relative, nan=np.inf)
@@ -348,7 +348,7 @@ def _student_factors(
     return np.asarray(student.ppf(0.975, freedom) / norm.ppf(0.975))
 
 
-def _moved(m: Autoregression, samples: int) -> Iterator[Autoregression]:
+def moved_by_errors(m: Autoregression, samples: int) -> Iterator[Autoregression]:
     """An autoregression moved by `MOVED` standard errors in independent directions.
 
     The covariance of its coefficients from so many samples is that of the inverse of its p

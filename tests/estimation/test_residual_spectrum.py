@@ -15,10 +15,10 @@ import casid
 from casid.arrays import Array
 from casid.estimation.residual_spectrum import (
     Autoregression,
-    _student_factors,
     autoregression,
     coloured_covariance,
     restricted,
+    student_factors,
 )
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
@@ -260,7 +260,7 @@ def test_a_spectrum_known_from_few_excursions_widens_errors_as_students_t() -> N
         (m,) = models
         return np.array([[m.variance / (1 + m.coefficients.sum()) ** 2, 0.0], [0.0, m.variance]])
 
-    found = _student_factors(under, [model], [samples])
+    found = student_factors(under, [model], [samples])
     freedom = 2 / (2 / samples + 4 * (1 + a) / (1 - a) / samples)
     assert freedom == pytest.approx(15.4, abs=0.1)
     # The derivative over a tenth of a standard error errs by a twentieth of its curvature.
