@@ -30,6 +30,7 @@ SOURCES = (
     "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
     "D. W. K. Andrews, Econometrica 59 (1991) 817-858: its bandwidth",
     "A. C. Aitken, Proc. Roy. Soc. Edinburgh 55 (1935) 42-48: generalised least squares",
+    "M. G. Kenward, J. H. Roger, Biometrics 53 (1997) 983-997: the error of its weights",
     "J. A. Hausman, Econometrica 46 (1978) 1251-1271: whether a model is right for it",
     "R. Pintelon, J. Schoukens, System Identification, 2nd ed., Wiley 2012: errors in variables",
     "A. Waechter, L. T. Biegler, Math. Program. 106 (2006) 25-57: Ipopt",
@@ -48,7 +49,7 @@ COLOURED = (
 )
 WEIGHTED = (
     "generalised least squares by the spectrum of the residual, an autoregression of order "
-    "{orders}, robust to what correlation is left: residuals of zero mean, stationary"
+    "{orders}, whose own error is included: residuals of zero mean, stationary"
 )
 BIASED = "; the bias from noise on measured inputs is not included"
 CORRECTED = (
