@@ -50,6 +50,9 @@ GAIN = 1.1
 which it is made: below that a second estimate changes nothing that a user would see."""
 CONTRADICTED = 1e-3
 """Probability, by either test, below which the residual is no noise."""
+WORSE = 1.05
+"""RMS error of the simulation over that of least squares, of any output, beyond which it is not
+made: noise that wanders as slowly as the motion explains any difference, and a misfit looks so."""
 APART = 0.02
 """Eigenvalue of the difference of their correlations below which they are one estimate."""
 _NEAR = Solver(options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-6})
@@ -114,7 +117,9 @@ def weighted_by_spectrum(fit: Fit) -> SpectralWeights | str:
     if plain is None or not mine:
         return ""
     of_plain, models = plain
-    plain_errors = np.sqrt(np.diag(of_plain)[mine])
+    if not all(map(_is_stationary_beside, models, _samples(criterion))):
+        return ""  # of a line, say: what its error does to the estimate is not known
+    plain_errors = np.sqrt(np.maximum(np.diag(of_plain)[mine], TINY))
     weighted = _whitened(criterion, models, fit)
     at_fit = _covariance(weighted.evaluate(fit.x).hessian, free)
     if np.max(plain_errors / np.sqrt(np.maximum(np.diag(at_fit)[mine], TINY))) < GAIN:
@@ -128,7 +133,11 @@ def weighted_by_spectrum(fit: Fit) -> SpectralWeights | str:
     best = int(np.argmax(gains))
     if gains[best] < GAIN:
         return ""
-    why = _why_no_noise(found, mine) or _why_not_the_same(fit, found, mine, of_plain, covariance)
+    why = (
+        _why_worse(criterion, fit.x, found.x)
+        or _why_no_noise(found, mine)
+        or _why_not_the_same(fit, found, mine, of_plain, covariance)
+    )
     if why:
         return f"the residual is coloured, but {why}: the model is incomplete (casid diagnose)"
     return replace(result, gained=(criterion.names[mine[best]], float(gains[best])))
@@ -151,13 +160,24 @@ def _whitened(
     )
 
 
+def _samples(criterion: SimulationError) -> list[int]:
+    """Samples that each output has."""
+    return [int(n) for n in np.sum([d.used.sum(axis=0) for d in criterion.data], axis=0)]
+
+
+def _is_stationary_beside(model: Autoregression, samples: int) -> bool:
+    """True of an autoregression that its own error does not carry to the unit circle."""
+    moved = [model, *moved_by_errors(model, samples)]
+    return all(bool(np.all(np.abs(m.reflections) < 1.0)) for m in moved)
+
+
 def _of_spectrum(
     plain: SimulationError, models: Sequence[Autoregression], found: Fit
 ) -> tuple[Array, Array]:
     """(2) and the factors of Student's t: what the errors of the autoregressions give to a fit."""
     free = found.solution.is_free
     data = [(plain.columns(found.x, e), d.used) for e, d in enumerate(plain.data)]
-    samples = [sum(int(used[:, i].sum()) for _, used in data) for i in range(len(models))]
+    samples = _samples(plain)
 
     def equations(models: Sequence[Autoregression]) -> tuple[Array, Array]:
         """Gradient (n,) and information (n, n) under other autoregressions."""
@@ -195,6 +215,18 @@ def _covariance(hessian: Array, free: Array) -> Array:
     return out
 
 
+def _why_worse(criterion: SimulationError, plain: Array, weighted: Array) -> str:
+    """Why a weighted estimate simulates worse than noise would have it do."""
+    squares = []
+    for x in (plain, weighted):
+        runs = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
+        squares.append(np.sum([np.sum(r**2, axis=0) for r in runs], axis=0))
+    ratio = float(np.sqrt(np.max(squares[1] / np.maximum(squares[0], TINY))))
+    if ratio <= WORSE:
+        return ""
+    return f"weighted by its spectrum the simulation errs by {ratio:.2g} times as much"
+
+
 def _why_not_the_same(
     plain: Fit, weighted: Fit, mine: Sequence[int], of_plain: Array, of_weighted: Array
 ) -> str:
@@ -203,7 +235,8 @@ def _why_not_the_same(
     Compared in the directions in which they differ: in the others both are the same estimate.
     """
     both = np.ix_(mine, mine)
-    moved, errors = (weighted.x - plain.x)[mine], np.sqrt(np.diag(of_plain)[mine])
+    moved = (weighted.x - plain.x)[mine]
+    errors = np.sqrt(np.maximum(np.diag(of_plain)[mine], TINY))
     shares = moved / errors
     values, axes = np.linalg.eigh((of_plain - of_weighted)[both] / np.outer(errors, errors))
     differs = values > APART
