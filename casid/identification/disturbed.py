@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import casadi as ca
 import numpy as np
@@ -114,7 +114,8 @@ def identify_disturbed(
     first = program.criterion(noise, 1 if fit is None else fit.criterion.substeps)
     begin = _off_bounds(first, fit.values if fit else {}) | dict(start or {})
     for d in disturbances:
-        begin |= _best_start(first, begin, d, _grid(problem, fit, d, first.data), progress)
+        progress(f"search the spectrum of the disturbance in {d.place}")
+        begin |= _best_start(first, begin, d, *_grid(problem, fit, d, first.data))
     require_time(f"the prediction error of {problem.name}")
     progress("minimise the prediction error")
     found = program.minimum_from(noise, begin, [d.size for d in disturbances])
@@ -341,7 +342,7 @@ class _Program:
         return found
 
     def _minimum(self, noise: Sequence[White], start: Mapping[str, float]) -> Prediction:
-        """The minimum that is found from a start."""
+        """The minimum that is found from a start; `identify` knows what the equations determine."""
         options: ExtendedOptions = {"own": self.settings.own, "start": start}
         solver = self.settings.solver
         if not self.is_extended:
@@ -351,6 +352,7 @@ class _Program:
                 noise,
                 solver=solver,
                 throw=False,
+                structural="",
                 rest=self.rest,
                 own=self.settings.own,
                 start=start,
@@ -359,28 +361,33 @@ class _Program:
         if self.settings.substeps is not None:
             options["substeps"] = self.settings.substeps
         return minimize_extended_prediction_error(
-            self.model, self.experiments, noise, solver=solver, throw=False, **options
+            self.model,
+            self.experiments,
+            noise,
+            solver=solver,
+            throw=False,
+            structural="",
+            **options,
         )
 
 
 def _grid(
     problem: Problem, fit: Fit | None, d: Disturbance, data: Sequence[Signals]
-) -> list[dict[str, float]]:
-    """Starts of the parameters of one disturbance."""
+) -> tuple[list[float], list[dict[str, float]]]:
+    """Starts of the size of one disturbance, ascending, and of the shape of its spectrum."""
     low = max(2 * np.pi / (s.N * s.Ts) for s in data)
     high = 0.5 * np.pi / max(s.Ts for s in data)
     frequencies = np.geomspace(low, max(high, 2 * low), CORNERS).tolist()
     size, seen = (1.0, None) if fit is None else _seen(problem, fit, d)
     if seen is not None:
         frequencies.append(float(np.clip(seen.frequency, low, max(high, 2 * low))))
-    sizes = [float(size * s) for s in (ALL_SIZES if fit is None else SIZES)]
+    sizes = size * (ALL_SIZES if fit is None else SIZES)
     if d.spectrum == "white":
-        root = float(np.sqrt(data[0].Ts))
-        return [{d.size: s * root} for s in sizes]
-    grid = [{d.size: s, d.frequency: w} for s, w in itertools.product(sizes, frequencies)]
-    if d.spectrum == "first":
-        return grid
-    return [{**g, d.width: z} for g, z in itertools.product(grid, WIDTHS)]
+        return (sizes * np.sqrt(data[0].Ts)).tolist(), [{}]
+    shapes = [{d.frequency: w} for w in frequencies]
+    if d.spectrum != "first":
+        shapes = [{**shape, d.width: z} for shape, z in itertools.product(shapes, WIDTHS)]
+    return sizes.tolist(), shapes
 
 
 def _seen(problem: Problem, fit: Fit, d: Disturbance) -> tuple[float, DisturbanceSpectrum | None]:
@@ -412,21 +419,41 @@ def _best_start(
     criterion: Criterion,
     begin: Mapping[str, float],
     d: Disturbance,
-    grid: Sequence[Mapping[str, float]],
-    progress: Callable[[str], None],
+    sizes: Sequence[float],
+    shapes: Sequence[Mapping[str, float]],
 ) -> dict[str, float]:
-    """The start with the best likelihood, among a grid and shares of the residual for sensors."""
-    progress(f"search the spectrum of the disturbance in {d.place}")
+    """The start with the best likelihood, among a grid and shares of the residual for sensors.
+
+    All sizes are tried with the first shape, and from the best so far downhill with every other.
+    """
     names = criterion.names
     base = {**dict(zip(names, criterion.start.tolist(), strict=True)), **begin}
     noise = {n: base[n] for n in names if n.startswith("var(")}
-    best, least = dict(grid[0]), np.inf
-    for share, point in itertools.product(SHARES, grid):
+    best, least, k = dict[str, float](), np.inf, 0
+
+    def value(k: int, share: float, shape: Mapping[str, float]) -> float:
+        """The criterion at one point of the grid; infinite where there is no predictor."""
+        nonlocal best, least
         require_time(f"the search of the spectrum of the disturbance in {d.place}")
         sensors = {n: v * share**2 for n, v in noise.items()}
-        values = {**base, **sensors, **point}
-        at = np.array([values[n] for n in names])
-        value = criterion.value(at)
-        if value < least:
-            best, least = {**sensors, **point}, value
+        point = {**sensors, **shape, d.size: sizes[k]}
+        values = {**base, **point}
+        found = criterion.value(np.array([values[n] for n in names]))
+        found = found if np.isfinite(found) else np.inf
+        if found < least or not best:
+            best, least = point, found
+        return found
+
+    for i, (share, shape) in enumerate(itertools.product(SHARES, shapes)):
+        at = cache(partial(value, share=share, shape=shape))
+        k = min(range(len(sizes)), key=at) if i == 0 else _downhill(at, k, len(sizes))
     return best
+
+
+def _downhill(at: Callable[[int], float], k: int, count: int) -> int:
+    """The place below `count` where `at` is least, from `k` on as long as it falls."""
+    while True:
+        beside = min((j for j in (k - 1, k + 1) if 0 <= j < count), key=at)
+        if at(beside) >= at(k):
+            return k
+        k = beside

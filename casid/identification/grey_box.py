@@ -162,6 +162,7 @@ def minimize_prediction_error(
     *,
     solver: Solver | str | None = None,
     throw: bool = True,
+    structural: str | None = None,
     **options: Unpack[CriterionOptions],
 ) -> Prediction:
     """Estimate a linear or linearised model by its one-step prediction errors.
@@ -174,6 +175,7 @@ def minimize_prediction_error(
     noise : the noise of every output, and the process noise, in a list; unknown sizes are
         estimated.
     solver : or its name; default ``Solver("ipopt")``.
+    structural : what the equations determine, where that is known; default: it is found.
     options : own, initial, start, rest, as `PredictionError`. The records stay near the rest.
 
     Raises
@@ -204,7 +206,8 @@ def minimize_prediction_error(
     def criterion_of(sources: Sequence[White] | White) -> Criterion:
         return PredictionError(model, chosen, sources, **options)
 
-    return _minimised(criterion_of, noise, options.get("start") or {}, solver, throw=throw)
+    start = options.get("start") or {}
+    return _minimised(criterion_of, noise, start, solver, throw=throw, structural=structural)
 
 
 def minimize_extended_prediction_error(
@@ -214,14 +217,15 @@ def minimize_extended_prediction_error(
     *,
     solver: Solver | str | None = None,
     throw: bool = True,
+    structural: str | None = None,
     **options: Unpack[ExtendedOptions],
 ) -> Prediction:
     """Estimate a nonlinear model by the prediction errors of an extended Kalman filter.
 
     Parameters
     ----------
-    model, experiments, noise, solver : as for `minimize_prediction_error`; no noise is held, and
-        outputs may miss samples.
+    model, experiments, noise, solver, structural : as for `minimize_prediction_error`; no noise is
+        held, and outputs may miss samples.
     options : own, initial, start, substeps, as `ExtendedPredictionError`. By default substeps are
         doubled until they no longer matter.
 
@@ -248,7 +252,9 @@ def minimize_extended_prediction_error(
         options["substeps"] *= 2
     wanted: Array | None = None
     while True:
-        found = _minimised(criterion_of, noise, start, solver, throw=throw, wanted=wanted)
+        found = _minimised(
+            criterion_of, noise, start, solver, throw=throw, structural=structural, wanted=wanted
+        )
         criterion = found.criterion
         assert isinstance(criterion, ExtendedPredictionError)
         if steps is not None or criterion.substeps >= STEPS.most or seconds_left() <= 0.0:
@@ -290,6 +296,7 @@ def _minimised(
     solver: Solver | str | None,
     *,
     throw: bool,
+    structural: str | None,
     wanted: Array | None = None,
 ) -> Prediction:
     """The minimum of the criterion that a noise gives; `wanted` (n,) are starts to be shown."""
@@ -306,7 +313,8 @@ def _minimised(
     if throw and not solution.is_converged:
         raise not_converged(criterion.model.name, solution)
     estimate = _estimate(criterion, solution, wanted, is_first=is_first)
-    structural = _structure(criterion.model, criterion.experiments, criterion.own)
+    if structural is None:
+        structural = _structure(criterion.model, criterion.experiments, criterion.own)
     estimate = replace(
         estimate, identifiability=replace(estimate.identifiability, structural=structural)
     )

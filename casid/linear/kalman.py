@@ -17,6 +17,7 @@ from scipy import linalg
 from casid.arrays import TINY, Array
 from casid.errors import ModelError
 from casid.linear.noisy_system import NoisySystem
+from casid.linear.recursion import recursion
 from casid.linear.stability import spectral_radius
 
 ON_CIRCLE = 1e-8
@@ -388,52 +389,7 @@ def _without(s: NoisySystem, there: Array) -> NoisySystem:
     return NoisySystem(s.A, s.B, C, s.D, s.Q, R, S, s.Ts, s.states, s.outputs, s.inputs)
 
 
-# -- recursions ---------------------------------------------------------------------------------
-
-
-def recursion(F: Array, v: Array, x0: Array) -> Array:
-    """x[t+1] = F x[t] + v[t] from x0: (N + 1, nx, ...) for v (N, nx, ...) and x0 (nx, ...).
-
-    Schur form turns it into first-order filters, one after another: a compiled loop whatever F,
-    defective ones included.
-    """
-    n, N = len(F), len(v)
-    tail = v.shape[2:]
-    columns = int(np.prod(tail)) if tail else 1
-    time_last = np.ascontiguousarray(v.reshape(N, n, columns).transpose(1, 2, 0))
-    x = recursion_time_last(F, time_last, np.reshape(x0, (n, columns)))
-    return np.asarray(x.transpose(2, 0, 1).reshape(N + 1, n, *tail))
-
-
-def recursion_time_last(F: Array, v: Array, x0: Array) -> Array:
-    """As `recursion` with time as the last axis: (nx, m, N + 1) for v (nx, m, N), x0 (nx, m)."""
-    from scipy.signal import lfilter
-
-    n, columns, N = v.shape
-    if n == 0:
-        return np.zeros((0, columns, N + 1))
-    real = n == 1 or not np.any(np.abs(np.linalg.eigvals(F).imag))
-    T, Z = linalg.schur(F, output="real" if real else "complex")
-    into = Z.conj().T
-    start = into @ x0
-    z = np.empty((n, columns, N + 1), dtype=T.dtype)
-    for i in reversed(range(n)):
-        # Sums of few long rows: quicker than a matrix product, which would start threads.
-        drive = into[i, 0] * v[0]
-        for j in range(1, n):
-            drive += into[i, j] * v[j]
-        for j in range(i + 1, n):
-            if T[i, j] != 0:
-                drive += T[i, j] * z[j, :, :-1]
-        z[i, :, 0] = start[i]
-        z[i, :, 1:], _ = lfilter([1.0], [1.0, -T[i, i]], drive, zi=T[i, i] * start[i][:, None])
-    out = np.empty((n, columns, N + 1))
-    for i in range(n):
-        total = Z[i, 0] * z[0]
-        for j in range(1, n):
-            total += Z[i, j] * z[j]
-        out[i] = total.real
-    return out
+# -- derivatives --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)

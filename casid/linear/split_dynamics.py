@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from casid.arrays import Array
-from casid.linear.kalman import recursion
+from casid.linear.recursion import recursion
 from casid.linear.stability import spectral_radius
 
 

@@ -17,7 +17,6 @@ from casid.linear.kalman import (
     SystemTangent,
     gain_tangent,
     log_likelihood,
-    recursion,
     steady_state,
     time_varying,
 )
@@ -277,7 +276,7 @@ def test_static_system_predicts_from_its_inputs_alone() -> None:
         assert run.log_likelihood == pytest.approx(3 * one)
 
 
-# -- sampling and recursions ----------------------------------------------------------------------
+# -- sampling --------------------------------------------------------------------------------------
 
 
 def test_exponential_of_a_stack_is_that_of_each() -> None:
@@ -337,21 +336,6 @@ def test_sampling_is_exact_for_inputs_that_are_held_and_for_straight_lines() -> 
             y[k] = (C @ z + D[:, 0] * u[k])[0]
             z = A @ z + B[:, 0] * u[k]
         np.testing.assert_allclose(y, exact, rtol=1e-12, atol=1e-13)
-
-
-@pytest.mark.parametrize("kind", ["complex", "real", "defective"])
-def test_recursion_is_the_plain_loop(kind: str) -> None:
-    rng = np.random.default_rng(3)
-    F = {
-        "complex": np.array([[0.9, -0.4, 0.1], [0.4, 0.9, 0.0], [0.2, 0.3, 0.5]]) * 0.9,
-        "real": np.diag([0.9, -0.5, 0.2]) + np.triu(np.ones((3, 3)), 1),
-        "defective": np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
-    }[kind]
-    v, x0 = rng.standard_normal((60, 3, 2)), rng.standard_normal((3, 2))
-    x = [x0]
-    for t in range(60):
-        x.append(F @ x[-1] + v[t])
-    np.testing.assert_allclose(recursion(F, v, x0), x, rtol=1e-9, atol=1e-9 * np.max(np.abs(x)))
 
 
 def test_derivative_of_the_steady_state_is_that_of_its_own_differences() -> None:

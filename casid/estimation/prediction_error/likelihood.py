@@ -34,13 +34,12 @@ from casid.linear.kalman import (
     Predictor,
     covariance_scale,
     gain_tangent,
-    recursion,
-    recursion_time_last,
     riccati_step_tangent,
     steady_state,
     step,
 )
 from casid.linear.noisy_model import NoisyModel, Sampled, White, noise_sources
+from casid.linear.recursion import recursion, recursion_time_last
 from casid.model.model import Model
 
 
