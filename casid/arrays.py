@@ -33,6 +33,17 @@ def require_finite(what: str, *arrays: Array) -> None:
         )
 
 
+def scaled_inverse(matrix: Array) -> Array:
+    """(n, n) pseudo-inverse of an information matrix, in the sizes that its own diagonal gives.
+
+    Of unknowns in units of very different size no digit is lost, and directions without information
+    (1e-13 of the largest) are left out.
+    """
+    d = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), TINY))
+    units = np.outer(d, d)
+    return np.asarray(units * np.linalg.pinv(matrix * units, rcond=1e-13))
+
+
 def finite_or_none(value: float) -> float | None:
     """The number, or None where it is infinite or not a number: what JSON can hold."""
     return float(value) if math.isfinite(value) else None

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.fft import rfft
 
-from casid.arrays import TINY, Array
+from casid.arrays import Array, scaled_inverse
 from casid.estimation.noise_response import Response
 
 
@@ -39,8 +39,7 @@ def absorbed(
     matrix = sum(
         t.reshape(-1, n).T @ w.reshape(-1, n) for t, w in zip(tangents, weighted, strict=True)
     )
-    size = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), TINY))
-    inverse = np.outer(size, size) * np.linalg.pinv(matrix * np.outer(size, size), rcond=1e-12)
+    inverse = scaled_inverse(np.asarray(matrix))
     parts, shared = [], 0.0
     for response, t, w in zip(responses, tangents, weighted, strict=True):
         N, ny, _ = t.shape

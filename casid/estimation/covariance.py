@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.arrays import TINY, Array, require_finite
+from casid.arrays import TINY, Array, require_finite, scaled_inverse
 
 
 def bartlett_lags(scores: Array, *, largest: int | None = None) -> int:
@@ -99,8 +99,7 @@ def sandwich(
     lags = bartlett_lags(scores[:, index]) if index.size else 0
     meat = long_run_covariance(scores, lags)
     reduced = basis.T @ hessian @ basis
-    d = 1 / np.sqrt(np.maximum(np.diag(reduced), TINY))
-    inverse = d[:, None] * np.linalg.pinv(reduced * np.outer(d, d), rcond=1e-13) * d[None, :]
+    inverse = scaled_inverse(reduced)
     covariance = basis @ inverse @ (basis.T @ meat @ basis) @ inverse @ basis.T
     # Fitted residuals are smaller than the errors: the usual degrees-of-freedom factor.
     count, fitted = scores.shape[0], basis.shape[1]

@@ -32,7 +32,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from casid.arrays import TINY, Array, basis_of
+from casid.arrays import TINY, Array, basis_of, scaled_inverse
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.residual_spectrum import (
     MOVED,
@@ -207,11 +207,9 @@ def _of_spectrum(
 def _covariance(hessian: Array, free: Array) -> Array:
     """(n, n) of an efficient estimate: the inverse of its information."""
     index = np.flatnonzero(free)
-    matrix = hessian[np.ix_(index, index)]
-    d = 1 / np.sqrt(np.maximum(np.diag(matrix), TINY))
+    both = np.ix_(index, index)
     out = np.zeros(hessian.shape)
-    inverse = np.linalg.pinv(matrix * np.outer(d, d), rcond=1e-13)
-    out[np.ix_(index, index)] = np.outer(d, d) * inverse
+    out[both] = scaled_inverse(hessian[both])
     return out
 
 

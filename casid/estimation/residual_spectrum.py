@@ -30,7 +30,7 @@ from scipy.signal import lfilter, lfiltic
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, scaled_inverse
 from casid.estimation.simulation.minimization import Fit
 
 LARGEST = 40
@@ -307,9 +307,8 @@ def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, list[Autoregressi
     if not any(m.order for m in models):
         return None
     n, index = len(fit.x), np.flatnonzero(free)
-    matrix = sum(t[:, index].T @ t[:, index] for record in weighted for _, t in record)
-    d = 1 / np.sqrt(np.maximum(np.diag(matrix), TINY))
-    inverse = np.outer(d, d) * np.linalg.pinv(matrix * np.outer(d, d), rcond=1e-13)
+    own = [t[:, index] for record in weighted for _, t in record]
+    inverse = scaled_inverse(np.asarray(sum(t.T @ t for t in own)))
     # Gamma stands between the columns of T (T'T)^-1: formed from T' Gamma T, what a slow residual
     # adds to one unknown would drown the variances of the others in rounding.
     gains = [_transformed([t[:, index] @ inverse for _, t in record]) for record in weighted]

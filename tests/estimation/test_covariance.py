@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
+from casid.arrays import scaled_inverse
 from casid.estimation.covariance import (
     autocorrelation,
     bartlett_lags,
@@ -17,6 +18,22 @@ from casid.estimation.covariance import (
 )
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
+
+
+def test_the_inverse_of_an_information_keeps_its_digits_in_any_units():
+    """(S M S)^-1 = S^-1 M^-1 S^-1 for units S that differ by 18 orders: cond(M) rounding errors."""
+    rng = np.random.default_rng(5)
+    T = rng.normal(size=(30, 4))
+    M, S = T.T @ T, np.diag(10.0 ** np.array([-9, -2, 3, 9]))
+    wanted = np.linalg.inv(S) @ np.linalg.inv(M) @ np.linalg.inv(S)
+    assert scaled_inverse(S @ M @ S) == pytest.approx(wanted, rel=1e-12)
+
+
+def test_a_direction_without_information_has_no_part_in_the_inverse():
+    """The sum of two unknowns that act alike is known, their difference is left out."""
+    t = np.random.default_rng(5).normal(size=(30, 1))
+    T = np.hstack([t, t])
+    assert scaled_inverse(T.T @ T) @ T.T @ (3 * t[:, 0]) == pytest.approx([1.5, 1.5], rel=1e-12)
 
 
 @pytest.mark.parametrize("lags", [0, 1, 7, 40])

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import rfft
 from scipy.stats import chi2
 
-from casid.arrays import TINY, Array, BoolArray
+from casid.arrays import TINY, Array, BoolArray, scaled_inverse
 from casid.estimation.absorbed_noise import absorbed
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
@@ -251,8 +251,7 @@ def added_variance(fit: Fit, noise: NoiseModel, free: Array) -> float:
             alone += (weight * noise.output_sd[i]) ** 2 * (t[:, i].T @ t[:, i])
             rows = (weight**2 * both_halves(d.N) * power)[:, None] * part
             whole += (part.conj().T @ rows).real
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), TINY))
-    inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13) * np.outer(scale, scale)
+    inverse = scaled_inverse(matrix)
     least, most = (np.diag(inverse @ part @ inverse) for part in (alone, whole))
     return float(np.max(most / np.maximum(least, TINY) - 1, initial=0.0))
 
@@ -272,8 +271,7 @@ def possible_bias(
     at = equations(columns_of(fit.criterion, fit.x, input_sd, seed), Unwhitened(used), input_sd)
     index = np.flatnonzero(free)
     slope, bias = at.matrix[np.ix_(index, index)], at.bias[index]
-    d = 1 / np.sqrt(np.maximum(np.diag(slope), np.finfo(float).tiny))
-    moved = d * (np.linalg.pinv(slope * np.outer(d, d), rcond=1e-13) @ (d * bias))
+    moved = scaled_inverse(slope) @ bias
     out = np.zeros(len(free))
     sd = np.sqrt(np.maximum(np.diag(covariance)[index], 0.0))
     out[index] = np.divide(moved, sd, out=np.zeros(len(index)), where=sd > 0)

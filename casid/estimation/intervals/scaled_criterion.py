@@ -21,7 +21,7 @@ from typing import Protocol
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import Array, scaled_inverse
 from casid.errors import OutOfTimeError, SolveError
 from casid.estimation.intervals.thresholds import PROFILE_SEARCH
 from casid.estimation.nlp.nlp import Nlp
@@ -165,10 +165,7 @@ class ScaledCriterion:
             _, s, vt = np.linalg.svd(self.tied[:, index])
             rank = int(np.sum(s > 1e-10 * s.max(initial=0.0)))
             basis = basis @ vt[rank:].T
-        reduced = basis.T @ self.hessian @ basis
-        d = 1 / np.sqrt(np.maximum(np.diag(reduced), TINY))
-        inverse = np.outer(d, d) * np.linalg.pinv(reduced * np.outer(d, d), rcond=1e-13)
-        column = basis @ (inverse @ basis[i])
+        column = basis @ (scaled_inverse(basis.T @ self.hessian @ basis) @ basis[i])
         return float(self.covariance[i, i] / column[i]), np.asarray(column / column[i])
 
     def drop(self, value: float, i: int) -> float:

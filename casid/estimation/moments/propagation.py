@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, scaled_inverse
 from casid.estimation.moments.moment_covariance import (
     are_short,
     combined_covariance,
@@ -180,10 +180,7 @@ class _Linear:
 
 def _inverse(normal: Array, basis: Array) -> Array:
     """The inverse of normal (n, n) on the span of basis (n, r), by a scaled pseudo-inverse."""
-    reduced = basis.T @ normal @ basis
-    scale = 1 / np.sqrt(np.maximum(np.diag(reduced), TINY))
-    units = np.outer(scale, scale)
-    return np.asarray(basis @ (units * np.linalg.pinv(reduced * units, rcond=1e-13)) @ basis.T)
+    return np.asarray(basis @ scaled_inverse(basis.T @ normal @ basis) @ basis.T)
 
 
 def _overidentification(residual: Array, moments: Array, noise: Array) -> tuple[float, int]:

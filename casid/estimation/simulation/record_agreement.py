@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
+from casid.arrays import scaled_inverse
 from casid.estimation.covariance import sandwich
 from casid.estimation.local_rank import local_rank
 from casid.estimation.simulation.minimization import Fit
@@ -73,9 +74,7 @@ def _own_step(fit: Fit, e: int) -> dict[int, tuple[float, float]]:
     names = [c.names[i] for i in index]
     rank = local_rank(part, fit.x[index], names, scale[index])
     undetermined = {name for direction in rank.null for name in direction}
-    d = 1 / np.sqrt(np.diag(part))
-    own = d * (flat[:, index].T @ residual.ravel())
-    step = d * (np.linalg.pinv(part * np.outer(d, d), rcond=1e-13) @ own)
+    step = scaled_inverse(part) @ (flat[:, index].T @ residual.ravel())
     # The residual at the record's own estimate: what the joint one misses is no noise of it.
     left = residual - jacobian[:, :, index] @ step
     covariance, _ = sandwich(hessian, np.einsum("ki,kin->kn", left, jacobian), free)
