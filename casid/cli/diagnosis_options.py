@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from casid.cli.options import budget_option
+from casid.cli.options import CATALOGUE_OPTIONS, budget_option, jobs_option
 
 
 class _Count(click.IntRange):
@@ -51,25 +51,7 @@ DIAGNOSIS_OPTIONS = (
         "Time limit of the diagnosis: it then reports what was found and lists what was not done. "
         "Default 600 s; the records of --calibrate are not limited by default."
     ),
-    click.option(
-        "--jobs",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Processes for --calibrate; default one per core.",
-    ),
-    click.option(
-        "--max-causes",
-        type=click.IntRange(min=1),
-        default=4,
-        show_default=True,
-        metavar="N",
-        help="Largest number of causes to search for.",
-    ),
-    click.option(
-        "--without",
-        multiple=True,
-        metavar="KIND",
-        help="Leave a kind of effect out of the catalogue, as in --without offset. Repeatable.",
-    ),
+    jobs_option("Processes for --calibrate; default one per core."),
+    *CATALOGUE_OPTIONS,
 )
 """Settings of the search for causes."""

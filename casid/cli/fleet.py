@@ -9,9 +9,11 @@ from typing import Any
 import click
 
 from casid.cli.options import (
+    CATALOGUE_OPTIONS,
     OUTPUT_OPTIONS,
     SET_OPTION,
     folder_options,
+    jobs_option,
     map_option,
     options,
     seed_option,
@@ -49,20 +51,7 @@ FLEET_OPTIONS = (
         help="Search every record in full, not only those in which a quick score test finds "
         "something.",
     ),
-    click.option(
-        "--without",
-        multiple=True,
-        metavar="KIND",
-        help="Leave a kind of effect out of the catalogue. Repeatable.",
-    ),
-    click.option(
-        "--max-causes",
-        type=click.IntRange(min=1),
-        default=4,
-        show_default=True,
-        metavar="N",
-        help="Largest number of causes to search for in one record.",
-    ),
+    *CATALOGUE_OPTIONS,
     click.option(
         "--starts",
         type=click.IntRange(min=1),
@@ -80,12 +69,7 @@ ENGINE_OPTIONS = (
         show_default=True,
         help="Processes of this machine, or a Dask cluster.",
     ),
-    click.option(
-        "--jobs",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Local processes; default one per core.",
-    ),
+    jobs_option("Local processes; default one per core."),
     click.option(
         "--scheduler",
         metavar="ADDRESS",

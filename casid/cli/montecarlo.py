@@ -12,6 +12,7 @@ from casid.cli.options import (
     FitOptions,
     budget_option,
     folder_options,
+    jobs_option,
     options,
     seed_option,
 )
@@ -44,12 +45,7 @@ from casid.cli.terminal import quiet_stdout, study_folder, workers
     metavar="S",
     help="Use the first S seconds of every simulated record; default whole records.",
 )
-@click.option(
-    "--jobs",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Number of processes; default one per core.",
-)
+@jobs_option("Number of processes; default one per core.")
 @click.option(
     "--dask",
     metavar="ADDRESS",

@@ -153,6 +153,30 @@ def budget_option(help: str) -> Callable[[Callable[..., None]], Callable[..., No
     )
 
 
+def jobs_option(help: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """The option --jobs."""
+    return click.option("--jobs", type=click.IntRange(min=1), metavar="N", help=help)
+
+
+CATALOGUE_OPTIONS = (
+    click.option(
+        "--max-causes",
+        type=click.IntRange(min=1),
+        default=4,
+        show_default=True,
+        metavar="N",
+        help="Largest number of causes to search for in one diagnosis.",
+    ),
+    click.option(
+        "--without",
+        multiple=True,
+        metavar="KIND",
+        help="Leave a kind of effect out of the catalogue, as in --without offset. Repeatable.",
+    ),
+)
+"""How far the catalogue of effects is searched."""
+
+
 def folder_options(default: str, force: str) -> tuple[Any, Any]:
     """The options --out and --force."""
     return (
