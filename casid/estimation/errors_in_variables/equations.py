@@ -27,7 +27,7 @@ have the same mean, and what it does is projected wherever (2) or the mean of T'
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -91,10 +91,35 @@ class Equations:
         return self.matrix - self.noise
 
 
+def flat_noise(n: int, rng: np.random.Generator) -> Array:
+    """(n,) of unit variance, constant periodogram and random phases."""
+    phase = np.exp(2j * np.pi * rng.random(n // 2 + 1))
+    phase[0] = 1.0 if phase[0].real >= 0 else -1.0
+    if n % 2 == 0:
+        phase[-1] = 1.0 if phase[-1].real >= 0 else -1.0
+    return np.asarray(irfft(np.sqrt(n) * phase, n))
+
+
+def gaussian_noise(n: int, rng: np.random.Generator) -> Array:
+    """(n,) of unit variance, whose power at a resonance differs from draw to draw.
+
+    Of a stream of its own: a simulated record may hold the numbers of the same seed.
+    """
+    return rng.spawn(1)[0].standard_normal(n)
+
+
 def columns_of(
-    criterion: SimulationError, x: Array, input_sd: Mapping[str, float], seed: int = 0
+    criterion: SimulationError,
+    x: Array,
+    input_sd: Mapping[str, float],
+    seed: int = 0,
+    *,
+    drawn: Callable[[int, np.random.Generator], Array] = flat_noise,
 ) -> list[RecordColumns]:
-    """The columns of every record at `x` (n,), for inputs with noise of `input_sd`."""
+    """The columns of every record at `x` (n,), for inputs with noise of `input_sd`.
+
+    `drawn` is noise of unit variance; by default one whose power is the same in every draw.
+    """
     inputs = list(criterion.model.inputs)
     weights = criterion.weights
     out = []
@@ -104,7 +129,7 @@ def columns_of(
         for j, name in enumerate(sorted(n for n in inputs if input_sd.get(n, 0.0) > 0)):
             w = np.zeros(d.u.shape)
             rng = np.random.default_rng((seed, e, j))
-            own = flat_noise(d.N, rng)
+            own = drawn(d.N, rng)
             if name in d.filled:
                 hold = criterion.model.inputs[name].hold
                 omega = np.linspace(0.0, 2 * np.pi * (d.N // 2) / d.N, d.N // 2 + 1)
@@ -128,15 +153,6 @@ def _simulated(
     """Outputs and sensitivities under other inputs."""
     at = criterion.simulated(x, e, signals=signals)
     return at.y, at.jacobian
-
-
-def flat_noise(n: int, rng: np.random.Generator) -> Array:
-    """(n,) of unit variance, constant periodogram and random phases."""
-    phase = np.exp(2j * np.pi * rng.random(n // 2 + 1))
-    phase[0] = 1.0 if phase[0].real >= 0 else -1.0
-    if n % 2 == 0:
-        phase[-1] = 1.0 if phase[-1].real >= 0 else -1.0
-    return np.asarray(irfft(np.sqrt(n) * phase, n))
 
 
 def equations(

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from casid.arrays import TINY, Array, BoolArray
-from casid.estimation.errors_in_variables.equations import columns_of
+from casid.estimation.errors_in_variables.equations import columns_of, gaussian_noise
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
@@ -53,7 +53,7 @@ def left_by_noise(
     out = []
     for draw in range(REMOVAL.left_records):
         rng = np.random.default_rng((seed, draw))
-        columns = columns_of(criterion, x, input_sd, draw)
+        columns = columns_of(criterion, x, input_sd, draw, drawn=gaussian_noise)
         parts = [
             (
                 sum((source.moved for source in part.noise), np.zeros(part.residual.shape)),

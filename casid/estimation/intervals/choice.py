@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +21,12 @@ from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.intervals.bootstrap import Bootstrapped, bootstrapped
 from casid.estimation.intervals.profile import ProfileInterval, profile_interval
 from casid.estimation.intervals.quadratic_test import why_not_quadratic
-from casid.estimation.intervals.scaled_criterion import Minimum, ScaledCriterion
+from casid.estimation.intervals.scaled_criterion import (
+    Minimum,
+    ScaledCriterion,
+    Tilted,
+    tilted,
+)
 from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS, PROFILE_SEARCH
 from casid.estimation.simulation.fit import FitSettings
 from casid.time_limit import Undone, until, wall_clock
@@ -50,7 +56,7 @@ _PROFILE = (
     "what the criterion cannot reject with the other unknowns refitted, its rise scaled so that it "
     "agrees with the standard error where it is a parabola; noise as the standard errors assume it"
 )
-_ROOT = "; the bias of the inputs' noise taken from the gradient as at the estimate"
+_ROOT = "; the bias of the inputs' noise taken from slope and curvature as at the estimate"
 _NOT_NORMAL = (
     "the interval of {name} is normal, though {why}: the bias of the inputs' noise is removed at "
     "the estimate alone, and no profile can be taken; simulate (--intervals bootstrap)"
@@ -204,13 +210,18 @@ def _profiles(
     progress: Callable[[str], None],
 ) -> None:
     """The parameters by their profiles, all of them or where the quadratic test fails."""
-    fit, failing = estimation.fit, []
+    fit, root = estimation.fit, None
+    if estimation.is_root:
+        at_root = partial(tilted, fit, estimation.covariance(fit.solution.is_free))
+        root = undone.attempt("the test whether intervals are normal", at_root)
+        if root is None:
+            return
     for name in estimation.parameters:
         if estimation.is_root and name not in _free_names(fit):
             continue  # a root of equations has no size of its own beyond a bound
 
         def tested(name: str = name) -> tuple[ScaledCriterion, str]:
-            scaled = _scaled(estimation, name)
+            scaled = _scaled(estimation, name, root)
             why = "it is requested" if all_of_them else why_not_quadratic(scaled, name)
             return scaled, why
 
@@ -220,7 +231,6 @@ def _profiles(
         scaled, why = known
         if not why:
             continue
-        failing.append(name)
         progress(f"profile of {name}: {why}")
 
         def profiled(scaled: ScaledCriterion = scaled, name: str = name) -> ProfileInterval:
@@ -264,7 +274,7 @@ def _free_names(fit: Minimum) -> list[str]:
     return [name for name in fit.criterion.names if name not in held]
 
 
-def _scaled(estimation: Estimation, name: str) -> ScaledCriterion:
+def _scaled(estimation: Estimation, name: str, root: Tilted | None) -> ScaledCriterion:
     """The criterion in units of an unknown's own error, which counts as free."""
     fit = estimation.fit
     free = set(_free_names(fit)) | {name}
@@ -272,7 +282,7 @@ def _scaled(estimation: Estimation, name: str) -> ScaledCriterion:
     return ScaledCriterion(
         fit,
         estimation.covariance(mask),
-        is_root=estimation.is_root,
+        root=root,
         solver=estimation.settings.solver,
         constraints=estimation.settings.constraints,
     )

@@ -8,9 +8,11 @@ its matrix H and the covariance P of the estimate, whatever noise P allows for, 
 is chi squared with one degree of freedom at the true value (Kent 1982; the scaling of Chandler and
 Bate 2007). Of a criterion that is a parabola, its interval is that of the standard error. Where the
 estimate is the root of equations that differ from the gradient of V by a bias, that of noise on
-inputs, V is lessened by the bias of its gradient at the estimate times the way from there. That
-means something near the estimate alone: further away the bias is another one, and V without a limit
-below. No unknown goes further there than so many of its standard errors.
+inputs, V is lessened by the bias of its gradient at the estimate times the way from there, and by
+the parabola that the bias gives to it: noise on inputs moves the curvature of V away from H, since
+the residual and the second derivatives of a simulation hold the same noise. That means something
+near the estimate alone: further away the bias is another one, and V without a limit below. No
+unknown goes further there than so many of its standard errors.
 """
 
 from __future__ import annotations
@@ -84,11 +86,18 @@ class Minimum(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tilted:
-    """A criterion of which a point is a stationary one: without its slope (n,) there."""
+    """A criterion whose minimum is a point: without its slope there, and curved as its matrix says.
+
+    Attributes
+    ----------
+    slope : (n,) gradient of the criterion at `x`, of unknowns that are free.
+    bent : (n, n) by which its curvature there exceeds its matrix.
+    """
 
     criterion: Minimised
     x: Array
     slope: Array
+    bent: Array
 
     @property
     def n_constraints(self) -> int:
@@ -97,9 +106,36 @@ class Tilted:
 
     def evaluate(self, x: Array) -> Evaluation:
         """Value, gradient and matrix at `x` (n,)."""
-        at = self.criterion.evaluate(x)
-        value = at.value - float(self.slope @ (x - self.x))
-        return replace(at, value=value, gradient=at.gradient - self.slope)
+        at, way = self.criterion.evaluate(x), x - self.x
+        bent = self.bent @ way
+        value = at.value - float((self.slope + 0.5 * bent) @ way)
+        return replace(at, value=value, gradient=at.gradient - self.slope - bent)
+
+
+def tilted(fit: Minimum, covariance: Array) -> Tilted:
+    """The criterion of which the root of equations is the minimum, by 2 n evaluations.
+
+    Its curvature is that of central differences of the gradient; where these are not finite, it is
+    left as it is.
+
+    Parameters
+    ----------
+    fit : at the root.
+    covariance : (n, n) of the root: a share of its standard errors is the step.
+    """
+    x, free = fit.x, fit.solution.is_free
+    at = fit.criterion.evaluate(x)
+    steps = PROFILE_SEARCH.difference * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    moves = np.flatnonzero(free & (steps > 0.0))
+    curvature = at.hessian.copy()
+    for j in moves:
+        step = np.where(np.arange(len(x)) == j, steps, 0.0)
+        low, high = (fit.criterion.evaluate(x + way * step).gradient for way in (-1, 1))
+        curvature[moves, j] = ((high - low) / (2 * steps[j]))[moves]
+    bent = 0.5 * (curvature + curvature.T) - at.hessian
+    if not np.all(np.isfinite(bent)):
+        bent = np.zeros(bent.shape)
+    return Tilted(fit.criterion, x, np.where(free, at.gradient, 0.0), bent)
 
 
 class ScaledCriterion:
@@ -109,7 +145,7 @@ class ScaledCriterion:
     ----------
     fit : a minimum, or the root of equations without the bias of noise on inputs.
     covariance : (n, n) of the estimate; for unknowns at a bound as if they were not.
-    is_root : whether it is no minimum of the criterion.
+    root : of a root of equations, the criterion of which it is the minimum.
     solver, constraints : of the fit.
     """
 
@@ -118,17 +154,17 @@ class ScaledCriterion:
         fit: Minimum,
         covariance: Array,
         *,
-        is_root: bool = False,
+        root: Tilted | None = None,
         solver: Solver | str | None = None,
         constraints: Sequence[Constraint] = (),
     ) -> None:
-        self.names, self.x, self.is_root = tuple(fit.criterion.names), fit.x, is_root
+        self.names, self.x, self.is_root = tuple(fit.criterion.names), fit.x, root is not None
         self.lower, self.upper = (
             np.array([getattr(v, side) for v in fit.criterion.variables])
             for side in ("lower", "upper")
         )
         self._farthest = np.full(len(self.x), np.inf)
-        if is_root:
+        if self.is_root:
             error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
             self._farthest = PROFILE_SEARCH.farthest_of_root * error
             self.lower = np.maximum(self.lower, np.minimum(self.x, self.x - self._farthest))
@@ -136,8 +172,7 @@ class ScaledCriterion:
         solution = fit.solution
         self.free = solution.is_free
         at = fit.criterion.evaluate(self.x)
-        slope = np.where(self.free, at.gradient, 0.0) if is_root else np.zeros(len(self.x))
-        self.criterion = Tilted(fit.criterion, self.x, slope)
+        self.criterion = root or fit.criterion
         self.smallest, self.hessian = at.value, at.hessian
         self.tied = solution.constraint_jacobian
         self.covariance, self.constraints = covariance, constraints

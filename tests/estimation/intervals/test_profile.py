@@ -9,9 +9,10 @@ from scipy.stats import binom, chi2
 
 import casid
 from casid.estimation.covariance import sandwich
+from casid.estimation.errors_in_variables.removal import without_input_noise
 from casid.estimation.intervals.choice import patience_since
 from casid.estimation.intervals.profile import profile_interval
-from casid.estimation.intervals.scaled_criterion import ScaledCriterion
+from casid.estimation.intervals.scaled_criterion import ScaledCriterion, tilted
 from casid.estimation.intervals.thresholds import PROFILE_SEARCH
 from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -38,6 +39,21 @@ def linear_record(*, colour=0.0, samples=600, seed=3):
     return casid.Record({"u": u, "y": 1.2 * x + 0.3 + noise}, {"u": "m/s", "y": "m"}, 0.1)
 
 
+def noisy_lag():
+    """A lag of 0.5 s, its slow input read with noise as large as itself, and its record."""
+    rng = np.random.default_rng(8)
+    u = lfilter([1.0], [1.0, -0.95], 0.3 * rng.standard_normal(1500))
+    pole = np.exp(-0.1 / 0.5)
+    x = lfilter([0.0, 1 - pole], [1.0, -pole], u)
+    columns = {"u": u + rng.standard_normal(1500), "y": 2.0 * x + 0.02 * rng.standard_normal(1500)}
+    m = casid.Model("lag")
+    y, of = m.state("x", "1"), m.input("u", "1", hold="zoh")
+    K, tau = m.parameter("K", "1", start=1.8), m.parameter("tau", "s", start=0.6, lower=0.01)
+    m.derivative(y, (K * of - y) / tau)
+    m.output("y", y, "1")
+    return m, casid.Record(columns, {"u": "1", "y": "1"}, Ts=0.1)
+
+
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_of_a_linear_model_it_is_the_interval_of_the_standard_error(colour):
     """Also where the weights are not those of the noise: the drop is scaled by the sandwich."""
@@ -48,6 +64,33 @@ def test_of_a_linear_model_it_is_the_interval_of_the_standard_error(colour):
         half = 1.96 * p.std_error
         assert low == pytest.approx(p.value - half, abs=0.01 * half)
         assert high == pytest.approx(p.value + half, abs=0.01 * half)
+
+
+def test_at_a_root_of_equations_the_criterion_is_flat_and_curved_as_its_matrix():
+    """Noise on the input has moved both: the raw criterion is neither, by ten times as much.
+
+    Over a tenth of a standard error third derivatives are left, a few per cent of the matrix.
+    """
+    m, record = noisy_lag()
+    fit = fit_model(m, [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
+    root = without_input_noise(fit, {"u": 1.0})
+    assert root.covariance is not None
+    of_root = tilted(root.fit, root.covariance)
+    x, errors = root.fit.x, np.sqrt(np.diag(root.covariance))
+    size = np.outer(errors, errors)
+    matrix = of_root.evaluate(x).hessian * size
+
+    def bent(criterion):
+        steps = [0.1 * errors * row for row in np.eye(len(x))]
+        ends = [
+            (criterion.evaluate(x + s).gradient, criterion.evaluate(x - s).gradient) for s in steps
+        ]
+        return np.array([(up - down) / 0.2 for up, down in ends]) * errors - matrix
+
+    assert of_root.evaluate(x).gradient == pytest.approx(0.0, abs=1e-9)
+    left, raw = np.abs(bent(of_root)).max(), np.abs(bent(root.fit.criterion)).max()
+    assert left < 0.05 * np.abs(matrix).max()
+    assert raw > 10 * left
 
 
 def test_coloured_noise_is_what_the_scale_allows_for():
