@@ -200,7 +200,7 @@ def judged_study(m: MonteCarlo) -> Judged:
     """Whether the error bars of an estimator keep what they promise."""
     failed, runs = len(m.campaign.failures), m.campaign.runs
     lost = f" {failed} of {runs} runs failed." if failed else ""
-    biased = [p.name for p in m.parameters if any("biased" in r for r in p.remarks)]
+    biased = [p.name for p in m.parameters if p.is_misled]
     rarely = [p.name for p in m.parameters if any("too rarely" in r for r in p.remarks)]
     often = [p.name for p in m.parameters if any("too often" in r for r in p.remarks)]
     if biased or rarely:
@@ -236,12 +236,15 @@ def judged_study(m: MonteCarlo) -> Judged:
             f"Run more: {needed} runs determine it to within 3 % (--runs {needed}).",
         )
     wide = f" Those of {', '.join(often)} are wider than they need to be." if often else ""
+    slight = [p.name for p in m.parameters if p.is_biased]
+    small = f" The bias of {', '.join(slight)} is small beside the spread." if slight else ""
+    first = "The" if slight else "The estimates are unbiased and the"
     return Judged(
         "reliable",
         _PROMISE,
         "adequate",
-        f"The estimates are unbiased and the 95 % intervals contain the truth as often as stated, "
-        f"as far as {runs} runs show.{wide}{lost}",
+        f"{first} 95 % intervals contain the truth as often as stated, as far as {runs} runs show."
+        f"{small}{wide}{lost}",
         "The error bars can be used for records like these.",
     )
 

@@ -134,6 +134,13 @@ def test_a_study_says_whether_the_error_bars_keep_their_promise():
     assert "--runs 203" in few.advice
     many = [replace(p, n=1000, intervals=1000, covered=950) for p in good]
     assert judged_study(replace(study, parameters=tuple(many))).look == "adequate"
+    for spreads, word in ((0.3, "reliable"), (0.5, "not reliable")):  # cost 1.0 and 2.9 points
+        moved = [
+            p if p.truth is None else replace(p, mean=p.truth + spreads * p.spread) for p in many
+        ]
+        said = judged_study(replace(study, parameters=tuple(moved)))
+        assert said.word == word
+        assert ("small beside the spread" in said.sentence) == (word == "reliable")
 
 
 @pytest.mark.parametrize(
