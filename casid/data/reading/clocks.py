@@ -142,7 +142,7 @@ def _gap_fault(
         f"the median interval of {median:.6g} s: {shown}{' ...' if gaps.size > 3 else ''}.",
         f"Take the longest stretch with the window {times[a]:.6g}:{times[b]:.6g}, or "
         f"resample with resample={median:.6g} (--resample {median:.6g}), which marks the "
-        "gaps missing.",
+        "gaps missing; in Python mark_missing=True takes every sample at its own instant.",
     )
 
 

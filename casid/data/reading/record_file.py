@@ -53,7 +53,8 @@ def read_record(
     Ts : float, optional
         Sample time [s] of a file without time stamps; its clock starts at 0.
     mark_missing : bool
-        Mark empty cells, NaN and Inf as missing instead of refusing them.
+        Mark empty cells, NaN and Inf as missing instead of refusing them, and take every sample of
+        an uneven clock, or of channels with clocks of their own, at its own instant.
     form : FileFormat, optional
         How the file is written, where the file itself leaves it open: order of dates, decimal
         mark, encoding, sheet, time zone, cells that stand for no value.
@@ -71,7 +72,9 @@ def read_record(
     UnitError
         For a unit that cannot be read or does not fit the channel.
     """
-    options = ReadingOptions(time, window, name, resample, Ts, mark_missing, form)
+    options = ReadingOptions(
+        time, window, name, resample, Ts, mark_missing, form, takes_gaps=mark_missing
+    )
     return sound_record(survey(path, columns, options, describe=False))
 
 

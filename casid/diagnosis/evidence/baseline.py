@@ -161,7 +161,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     say("estimate the noise")
     start = weighing.weigh(problem.model, fit)
     errors = partial(std_error, start.fit)
-    undecided = why_undecided(fit, start, errors)
+    undecided = why_undecided(fit, start, errors, split.whole)
     if not undecided and not fit.solution.is_converged:
         require_time("the fit of the model as it is")
     return Baseline(

@@ -140,16 +140,19 @@ def _check(still: Sequence[str]) -> str:
     return f"; {' and '.join(still)} never moves: check its cable and mapping" if still else ""
 
 
-def why_undecided(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> str:
+def why_undecided(
+    fit: Fit, at: Weighted, std_error: Callable[[str], float], whole: Sequence[Experiment] = ()
+) -> str:
     """Why the record cannot support an answer, or an empty text.
 
     Parameters
     ----------
     fit, at : the model as it is, and under its noise.
     std_error : of a variable by name, robust (`refitting.std_error`).
+    whole : the records with what is held out of them.
     """
     c = fit.criterion
-    few = why_too_few(c)
+    few = why_too_few(c, whole)
     if few:
         return few
     loudest = 0.0
@@ -205,15 +208,21 @@ def _none_is_known(at: Weighted, std_error: Callable[[str], float]) -> bool:
     return bool(relative) and min(relative.values()) > 1.0
 
 
-def why_too_few(criterion: SimulationError) -> str:
-    """Why the samples are too few for the unknowns, or an empty text."""
+def why_too_few(criterion: SimulationError, whole: Sequence[Experiment] = ()) -> str:
+    """Why the samples are too few for the unknowns, or an empty text.
+
+    It names the remedy where the records as a `whole`, with what is held out, have enough.
+    """
     n, unknowns = criterion.n_samples, len(criterion.variables)
     least = fewest_samples(unknowns)
     if n >= least:
         return ""
-    return (
+    few = (
         f"{n} samples are too few to judge a model with {unknowns} unknowns; {least} are the least"
     )
+    outputs = criterion.outputs
+    there = sum(int((~e.record.is_missing(name)).sum()) for e in whole for name in outputs)
+    return f"{few}: fit all {there} of them (--hold-out 0)" if there >= least else few
 
 
 def fewest_samples(unknowns: int) -> int:

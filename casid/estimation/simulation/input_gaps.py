@@ -76,12 +76,15 @@ def doubtful_inputs(model: Model, record: Record) -> list[str]:
 
 
 def long_gaps(record: Record, name: str) -> BoolArray:
-    """(N,) True in gaps of a channel that are longer than a few of its own intervals."""
+    """(N,) True in gaps of a channel that are longer than a few of its own intervals.
+
+    What is usual is an interval that few exceed: of samples at random instants, not the median.
+    """
     missing = record.is_missing(name)
     there = np.flatnonzero(~missing)
     if len(there) < 2:
         return missing
-    usual = float(np.median(np.diff(there)))
+    usual = float(np.quantile(np.diff(there), INPUT_GAPS.usual))
     out = np.zeros(record.N, dtype=bool)
     for first, stop in zip(*stretches_of(missing), strict=True):
         if stop - first + 1 > INPUT_GAPS.longest * usual:
@@ -187,7 +190,9 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
     doubtful, lines = doubtful_inputs(model, record), []
     for name in recorded_inputs(model, record):
         hold = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
-        if name in doubtful:
+        if name in doubtful and name in late:
+            lines.append(f"remark: {name} is {hold} between its own instants, which are uneven")
+        elif name in doubtful:
             alike.setdefault((hold, gaps_of(record.missing[name])), []).append(name)
         else:
             lines.append(f"{FILLED}{name} has a row at each of its steps: it is held between them")

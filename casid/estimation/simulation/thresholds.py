@@ -110,7 +110,13 @@ class InputGaps:
     """Which gaps of an input are filled as it is held, and which cut a record."""
 
     longest: int = _is(
-        5, "intervals of the input's own clock that one may be long and still be filled", _GAPS
+        5, "usual intervals of the input that a gap may be long and still be filled", _GAPS
+    )
+    usual: float = _is(
+        0.9,
+        "share of the intervals of an input's own clock that are no longer than the usual one: of "
+        "an even clock the interval itself, though a few samples be missing",
+        _GAPS,
     )
     at_rest: float = _is(
         0.25,

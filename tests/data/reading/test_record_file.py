@@ -495,6 +495,18 @@ def test_a_grid_far_too_coarse_is_refused_with_a_better_one(csv):
         read_record(csv(rows(T)), resample=2.0)
 
 
+def test_random_instants_are_refused_with_the_option_that_takes_them(csv):
+    """Every sample is then found again within a tenth of the median interval of its stamp."""
+    t = np.cumsum(np.random.default_rng(2).exponential(1.0, 30))
+    path = csv(rows(t, t, header="t,y"))
+    with pytest.raises(DataError, match="mark_missing=True takes every sample at its own instant"):
+        read_record(path)
+    found = read_record(path, mark_missing=True)
+    there = ~found.is_missing("y")
+    assert found["y"][there].tolist() == t.tolist()
+    assert np.abs(found.t[there] - t + t[0] - found.t[0]).max() <= 0.1 * np.median(np.diff(t))
+
+
 # ---------------------------------------------------------------------- the clock
 
 

@@ -95,6 +95,18 @@ def test_excitation_in_the_held_out_part_alone_is_said_to_lie_there(name):
     assert "--hold-out 0" in d.sentence
 
 
+@pytest.mark.parametrize(("samples", "would_do"), [(60, True), (45, False)])
+def test_where_the_samples_held_out_would_do_the_remedy_is_said(samples, would_do):
+    """Seven in ten are fitted, and 50 are the least for five unknowns."""
+    problem, simulate = PROBLEMS["pendulum"]
+    record = simulate()
+    short = record.between(record.t0, record.t0 + (samples - 0.5) * record.Ts)
+    d = casid.diagnose(problem, short, starts=1, max_causes=1, advise=False)
+    assert "too few to judge a model with 5 unknowns; 50 are the least" in d.sentence
+    assert ("fit all 60 of them (--hold-out 0)" in d.sentence) == would_do
+    assert d.advice.startswith("Correct what the reason above names") == would_do
+
+
 @pytest.mark.slow
 def test_an_input_that_stands_still_is_named():
     d = casid.diagnose(*spoilt("emps", "constant inputs"), starts=1, max_causes=1, advise=False)

@@ -256,6 +256,16 @@ def test_a_gap_is_long_by_the_intervals_of_its_own_clock():
     assert not long_gaps(record({"F": F, "position": F, "speed": F}), "F").any()
 
 
+def test_between_random_instants_no_interval_is_long():
+    """Of 100 exponential intervals 3 exceed five medians, and 0.001 five times their 90 % point."""
+    rng = np.random.default_rng(3)
+    instants = np.unique(np.cumsum(1 + rng.exponential(10.0, 100).astype(int)))
+    F = without(np.ones(instants[-1] + 1), ~np.isin(np.arange(instants[-1] + 1), instants))
+    intervals = np.diff(instants)
+    assert np.any(intervals > INPUT_GAPS.longest * np.median(intervals))
+    assert not long_gaps(record({"F": F, "position": F, "speed": F}), "F").any()
+
+
 def test_an_input_that_is_mostly_missing_is_refused():
     s = signals(14)
     mask = np.arange(N) % 100 >= INPUT_GAPS.shortest - 10
