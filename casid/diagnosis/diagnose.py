@@ -160,7 +160,7 @@ def diagnose(
     found, judged, note = _judged_or_whole(problem, found, split, settings)
     notes = [*_notes_on_written(written), *note]
     diagnosis = _concluded(problem, found, judged, calibration, settings, plan=advise, notes=notes)
-    return diagnosis.in_units(found.best_fit.criterion.model.declared_units)
+    return diagnosis.in_units(found.best_fit.criterion.model.shown_units)
 
 
 def _found(

@@ -25,7 +25,7 @@ from casid.estimation.windowed_response import windowed_spectra
 from casid.model.declarations import Input
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
-from casid.model.units import unit_quotient
+from casid.model.units import difference_from_si, unit_quotient
 
 POINTS = 200
 """Samples of a record at which a model that is not linear is linearised."""
@@ -348,6 +348,16 @@ def unit_of_force(model: Model, place: str) -> str:
     if place in model.inputs:
         return model.inputs[place].unit
     return unit_quotient(model.states[place].unit, "s")
+
+
+def shown_force(model: Model, place: str, size: float) -> tuple[float, str]:
+    """The size of what acts there, given in SI, and its unit as the model declares it."""
+    unit = unit_of_force(model, place)
+    if place in model.balances:
+        unit = model.balances[place].shown_unit
+    elif place in model.inputs:
+        unit = model.unit_of(place)
+    return float(difference_from_si(size, unit)), unit
 
 
 def name_of_force(place: str) -> str:

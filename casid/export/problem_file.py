@@ -305,7 +305,7 @@ class _Writer:
             if remark and not is_short:
                 lines.append(f"        {remark}")
             lines.append(f"{line}  {remark}" if remark and is_short else line)
-        return [*lines, "    ],", f"    unit={_text(b.unit)},", ")"]
+        return [*lines, "    ],", f"    unit={_text(b.shown_unit)},", ")"]
 
     def _outputs(self) -> list[str]:
         lines: list[str] = []

@@ -24,13 +24,14 @@ Expr = Any  # a CasADi SX expression
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WrittenBalance:
-    """inertia * d(rate)/dt = sum of terms."""
+    """inertia * d(rate)/dt = sum of terms, in the SI `unit`; `shown_unit` is the declared one."""
 
     name: str
     rate: str
     inertia: Expr
     terms: tuple[Expr, ...]
     unit: str
+    shown_unit: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +101,9 @@ def written_equations(model: Model, part: str = "common") -> WrittenEquations:
         keys={p.key: n for n, p in zip(names, found, strict=True)},
         derivatives={s: next(rest) for s in rates},
         balances=tuple(
-            WrittenBalance(b.name, b.rate, next(rest), tuple(next(rest) for _ in b.terms), b.unit)
+            WrittenBalance(
+                b.name, b.rate, next(rest), tuple(next(rest) for _ in b.terms), b.unit, b.shown_unit
+            )
             for b in balances
         ),
         outputs={name: next(rest) for name in stated.outputs},

@@ -115,13 +115,22 @@ class Input:
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """A named force or torque balance: inertia * d(rate)/dt = sum of terms."""
+    """A named force or torque balance: inertia * d(rate)/dt = sum of terms.
+
+    `unit` of the terms is SI; `declared` is the one that they are shown in, where that is another.
+    """
 
     name: str
     rate: str
     inertia: Expr
     terms: tuple[Expr, ...]
     unit: str
+    declared: str = ""
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit that what acts in it is shown in."""
+        return self.declared or self.unit
 
     @property
     def total(self) -> Expr:

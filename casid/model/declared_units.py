@@ -12,7 +12,16 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.model.dimensional_analysis import DimensionMismatch, dimension_of
-from casid.model.units import Dimension, is_si, parse_unit, si_unit, to_si, unit_of_dimension
+from casid.model.units import (
+    Dimension,
+    declared_quotient,
+    is_si,
+    parse_unit,
+    same_dimension,
+    si_unit,
+    to_si,
+    unit_of_dimension,
+)
 
 Declared = TypeVar("Declared", bound=Any)  # a dataclass with a `unit`
 
@@ -63,6 +72,21 @@ def common_unit(expressions: Sequence[Any], units: Mapping[str, str], *, is_rota
     if not found:
         return "N m" if is_rotation else "N"
     return unit_of_dimension(found.most_common(1)[0][0], is_rotation=is_rotation)
+
+
+def unit_in_balance(unit: str, force: str, coordinates: Sequence[str]) -> str | None:
+    """The SI `unit` as that of a force, or of one by a power of a coordinate, in declared units.
+
+    A drag in a balance of mg/h whose state is in mg/L has L^2/(mg h). None where it is another.
+    """
+    if same_dimension(force, unit):
+        return force
+    for power in (1, 2, 3, 4, 5):
+        for coordinate in coordinates:
+            text = declared_quotient(force, coordinate, power)
+            if same_dimension(text, unit):
+                return text
+    return None
 
 
 def refuse_conversion(model: str, output: str, expression: Any, unit: str) -> None:

@@ -28,7 +28,7 @@ from casid.model.explicit_form import Explicit, check_branch, solved_for
 from casid.model.named_quantities import NamedQuantities
 from casid.model.quantities import count_text
 from casid.model.serialisation import packed, unpacked
-from casid.model.units import same_dimension
+from casid.model.units import is_si, same_dimension
 from casid.presentation import Viewed
 
 
@@ -104,8 +104,9 @@ class Model(NamedQuantities, Viewed):
     ) -> None:
         """State that inertia * d(rate)/dt = sum(terms); missing effects enter such balances.
 
-        `unit` of the terms, any of their dimension; by default that which most terms
-        and inertia times d(rate)/dt have.
+        `unit` of the terms, any of their dimension, in which what acts there is shown; by default
+        that of a term that is a signal, else the SI unit that most terms and inertia times
+        d(rate)/dt have.
         """
         state = self._state_name(rate)
         self._once(state)
@@ -113,9 +114,10 @@ class Model(NamedQuantities, Viewed):
         if name in self.balances:
             raise ModelError(f"{self.name}: balance {name!r} stated twice; give it another name")
         terms = tuple(ca.SX(t) for t in terms)
-        if unit is None:
-            unit = self._balance_unit(state, ca.SX(inertia), terms)
-        self.balances[name] = Balance(name, state, ca.SX(inertia), terms, si_text(unit))
+        si = self._balance_unit(state, ca.SX(inertia), terms) if unit is None else si_text(unit)
+        shown = self._unit_of_signal(terms, si) if unit is None else unit
+        declared = "" if is_si(shown) else shown
+        self.balances[name] = Balance(name, state, ca.SX(inertia), terms, si, declared)
         self._explicit = None
 
     def output(self, name: str, expression: Expr, unit: str) -> Any:
@@ -421,6 +423,21 @@ class Model(NamedQuantities, Viewed):
         sides = [] if inertia.is_constant() else [inertia * self._derivatives[rate]]
         is_rotation = same_dimension(own, "rad/s")
         return common_unit([*sides, *terms], self.symbol_units, is_rotation=is_rotation)
+
+    @property
+    def shown_units(self) -> dict[str, str]:
+        """`declared_units`, and those of balances that have no other thing's name."""
+        taken = {*self.symbol_units, *self.outputs}
+        named = {b.name: b.declared for b in self.balances.values() if b.declared}
+        return {n: u for n, u in named.items() if n not in taken} | self.declared_units
+
+    def _unit_of_signal(self, terms: Sequence[Expr], si: str) -> str:
+        """The declared unit of the first term that is a signal as it is; `si` where none is."""
+        for term in terms:
+            bare = term.dep(0) if term.is_op(ca.OP_NEG) else term
+            if bare.is_symbolic() and same_dimension(self.unit_of(bare.name()), si):
+                return self.unit_of(bare.name())
+        return si
 
     def _once(self, name: str) -> None:
         if name in self._rates or any(b.rate == name for b in self.balances.values()):

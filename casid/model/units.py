@@ -478,7 +478,23 @@ def unit_quotient(unit: str, other: str, power: int | Fraction = 1) -> str:
     UnitError
         As `parse_unit`.
     """
-    powers = unit_powers(unit)
-    for name, exponent in unit_powers(other).items():
-        powers[name] = powers.get(name, Fraction(0)) - power * exponent
+    return _divided(list(unit_powers(unit).items()), list(unit_powers(other).items()), power)
+
+
+def declared_quotient(unit: str, other: str, power: int = 1) -> str:
+    """Return the text of `unit / other^power` in their own names: `mg/h` by `mg/L` is `L/h`.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
+    return _divided(_terms(unit), _terms(other), power)
+
+
+def _divided(above: _Terms, below: _Terms, power: int | Fraction) -> str:
+    """The text of a unit over a power of another one, both by their factors."""
+    powers: dict[str, Fraction] = {}
+    for name, exponent in [*above, *((n, -power * e) for n, e in below)]:
+        powers[name] = powers.get(name, Fraction(0)) + exponent
     return _written(powers)

@@ -6,6 +6,7 @@ import math
 
 from casid.arrays import TINY
 from casid.estimation.estimate import Estimate, Estimated
+from casid.model.quantities import common_prefix
 
 
 def p_text(p: float) -> str:
@@ -49,6 +50,17 @@ def estimated_texts(p: Estimated) -> tuple[str, str, str]:
     if places is None:
         return _rounded(p.value, p.std_error), f"{p.std_error:.2g}", between
     return f"{p.value:z.{places}f}", f"{p.std_error:.{places}f}", between
+
+
+def in_readable_unit(p: Estimated) -> Estimated:
+    """An estimated time of more than two minutes in minutes, hours or days; others as they are.
+
+    The delay of a blood sample, in a file whose clock counts hours, is 28.4 min and not 1702 s.
+    An instant has its own rule, what its sample time resolves (`instant_text`).
+    """
+    if p.unit != "s" or p.std_error is None or p.resolution is not None:
+        return p
+    return p.in_unit(common_prefix([p.value], p.unit)[1])
 
 
 def _rounded(value: float, std_error: float) -> str:

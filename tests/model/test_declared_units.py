@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from casid.errors import ModelError, UnitError
+from casid.estimation.noise_response import shown_force
 from casid.model.declarations import Parameter
+from casid.model.declared_units import unit_in_balance
 from casid.model.dimensions import check_units
-from casid.model.effects.balance_effects import coulomb_friction, deadzone
+from casid.model.effects.balance_effects import coulomb_friction, deadzone, offset
 from casid.model.effects.channel_effects import sensor_bias
 from casid.model.effects.user_effects import balance_effect, user_effects
 from casid.model.model import Model
+from casid.model.units import same_dimension
 
 
 def test_numbers_are_kept_in_si_and_the_declared_unit_is_remembered():
@@ -124,3 +127,50 @@ def test_a_users_effect_may_have_units_of_its_own():
     extended, names = effect.extended(m, starts={"c": 2e-3})
     assert extended.parameters[names[0]].start == 2e-3
     assert [extended.unit_of(n) for n in names] == ["mNm", "rpm"]
+
+
+def compartment(**given: str) -> Model:
+    """Of volume V, emptied in proportion to its concentration."""
+    m = Model("compartment")
+    c, dose = m.state("c", "mg/L"), m.input("dose", "mg/h", known=True, hold="zoh")
+    V, CL = m.parameter("V", "L", start=12.0), m.parameter("CL", "L/h", start=3.0)
+    m.balance(c, "plasma", inertia=V, terms=[dose, -CL * c], **given)
+    m.output("conc", c, "mg/L")
+    return m
+
+
+@pytest.mark.parametrize(("given", "unit"), [({}, "mg/h"), ({"unit": "g/h"}, "g/h")])
+def test_what_acts_in_a_balance_is_shown_in_its_declared_unit(given, unit):
+    """By default in that of an input among the terms; kept in SI, as all numbers are."""
+    m = compartment(**given)
+    assert (m.balances["plasma"].unit, m.balances["plasma"].shown_unit) == ("kg/s", unit)
+    assert m.shown_units["plasma"] == unit
+    new, (name,) = offset(m, "plasma").extended(m)
+    assert (new.unit_of(name), new.parameters[name].unit) == (unit, "kg/s")
+    size, shown = shown_force(m, "plasma", 1 / 3.6e9)  # 1 mg/h
+    assert (size, shown) == (pytest.approx(1.0 if unit == "mg/h" else 1e-3), unit)
+
+
+@pytest.mark.parametrize(
+    ("si", "force", "coordinate", "expected"),
+    [
+        ("kg/s", "mg/h", "mg/L", "mg/h"),
+        ("m^3/s", "mg/h", "mg/L", "L/h"),
+        ("m^6/(kg s)", "mg/h", "mg/L", "L^2/(mg h)"),
+        ("N s^2/m^2", "kN", "mm/s", "kN s^2/mm^2"),
+        ("K", "mg/h", "mg/L", None),
+    ],
+)
+def test_the_unit_of_a_law_follows_from_force_and_coordinate(si, force, coordinate, expected):
+    found = unit_in_balance(si, force, [coordinate])
+    assert found == expected
+    assert found is None or same_dimension(found, si)
+
+
+def test_a_balance_in_si_leaves_the_units_of_effects_as_they_were():
+    m = Model("spring")
+    x, v = m.state("x", "mm"), m.state("v", "mm/s")
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=m.parameter("M", "kg"), terms=[-m.parameter("k", "N/mm") * x])
+    assert m.balances["force"].declared == ""
+    assert m.shown_units == m.declared_units

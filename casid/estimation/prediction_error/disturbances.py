@@ -23,10 +23,10 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import DataError, ModelError, nearest
-from casid.estimation.noise_response import unit_of_force
+from casid.estimation.noise_response import shown_force, unit_of_force
 from casid.linear.noisy_model import White
 from casid.model.model import Model
-from casid.model.units import unit_quotient
+from casid.model.units import is_si, parse_unit, unit_quotient
 
 SPECTRA = ("white", "first", "peak")
 """Of a disturbance."""
@@ -113,6 +113,11 @@ def with_disturbances(
             )
     for d, place in zip(disturbances, places, strict=True):
         force = _force(new, d, unit_of_force(model, place))
+        _, shown = shown_force(model, place, 0.0)
+        if d.spectrum != "white" and not (is_si(shown) or parse_unit(shown).offset):
+            there = {*new.parameters, *new.states}
+            own = [n for n in (d.size, d.force, d.quadrature) if n in there]
+            new.declared_units |= dict.fromkeys(own, shown)
         if place in model.balances:
             new.add_term(place, force)
         elif place in model.states:

@@ -16,6 +16,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model.declarations import Parameter
+from casid.model.declared_units import unit_in_balance
 from casid.model.effects.names import STORE
 from casid.model.effects.search_ranges import SMOOTHING
 from casid.model.identifiers import made_identifier
@@ -194,8 +195,19 @@ class Effect:
         own = self.declared_units.get(p.name)
         unit = own or (None if self.kind in LATE else model.declared_units.get(self.where))
         if unit is None or is_si(unit) or si_unit(unit) != p.unit:
-            return None
+            return None if own or self.kind in LATE else self._unit_in_balance(model, p)
         return unit if own or not parse_unit(unit).offset else None
+
+    def _unit_in_balance(self, model: Model, p: Parameter) -> str | None:
+        """The unit of a parameter in the balance that it acts in, by what the model declares."""
+        if self.where in model.balances:
+            forces = {model.balances[self.where].declared}
+        else:  # between two balances
+            forces = {b.declared for b in model.balances.values()}
+        if len(forces) != 1 or "" in forces:
+            return None
+        states = [u for n in model.states if (u := model.unit_of(n)) and not parse_unit(u).offset]
+        return unit_in_balance(p.unit, forces.pop(), list(dict.fromkeys(states)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

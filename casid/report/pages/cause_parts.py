@@ -17,7 +17,7 @@ from casid.report.document import (
     Status,
     Table,
 )
-from casid.report.numbers import estimated_texts, number_text, p_text
+from casid.report.numbers import estimated_texts, in_readable_unit, number_text, p_text
 from casid.report.texts.diagnosis import effect_in_words
 
 _SIZES = ("parameter", "estimate", "std. error", "95 % interval", "unit", "note")
@@ -70,6 +70,7 @@ def _others(c: Cause) -> Iterator[str]:
 
 
 def _size(p: Estimated) -> Sequence[str]:
+    p = in_readable_unit(p)
     return (p.name, *estimated_texts(p), p.unit, p.note)
 
 

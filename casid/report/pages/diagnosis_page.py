@@ -22,7 +22,7 @@ from casid.report.document import (
     mapping_table,
 )
 from casid.report.figures.diagnosis import diagnosis_figures
-from casid.report.numbers import change_text, estimated_texts, p_text
+from casid.report.numbers import change_text, estimated_texts, in_readable_unit, p_text
 from casid.report.pages.cause_parts import P_VALUE, cause_part, no_cause, ranking_parts
 from casid.report.pages.estimate_parts import (
     error_bars,
@@ -157,7 +157,7 @@ def _new_parameters(d: Diagnosis) -> Table:
     """The new parameters, with what they stand for."""
     rows: list[tuple[Inline, ...]] = []
     for c in d.causes:
-        for p in c.parameters:
+        for p in map(in_readable_unit, c.parameters):
             value, error, between = estimated_texts(p)
             words = effect_in_words(c.kind, c.where, c.description)
             rows.append((p.name, value, error, between, p.unit, words))

@@ -15,7 +15,7 @@ from casid.estimation.estimate import Estimated
 from casid.model.effects.names import effect_words
 from casid.model.quantities import count_text, instant_text, shortened
 from casid.report.document import Code, Document, Identifier, Labelled, Table, labelled
-from casid.report.numbers import number_text
+from casid.report.numbers import in_readable_unit, number_text
 
 _LISTED = 5  # of what the page has in full
 _REFUSED = 3  # effects that were significant but not accepted
@@ -109,6 +109,7 @@ def _value(p: Estimated) -> str:
     """A parameter with its error; an instant as its sample time resolves it."""
     if p.resolution is not None:
         return f"{p.name} = {instant_text(p.value, p.resolution)}"
+    p = in_readable_unit(p)
     error = f" +- {p.std_error:.2g}" if p.std_error is not None else ""
     unit = f" {p.unit}" if p.unit != "1" else ""
     why = f" ({p.note})" if p.note and p.std_error is None else ""
