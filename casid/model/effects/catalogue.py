@@ -30,7 +30,9 @@ from casid.model.effects.clock_effects import clock_effects_of
 from casid.model.effects.contact_effects import Side, backlash, end_stop
 from casid.model.effects.effect import Effect, Motion, Sizes
 from casid.model.effects.flow_laws import (
+    coefficients_of_flows,
     flow_law,
+    is_never_negative,
     is_positive,
     power_law,
     saturating_law,
@@ -240,10 +242,11 @@ def _power_laws(model: Model, sizes: Sizes) -> Iterator[Effect]:
         law = power_law(model, group, [sizes.rates[state] for state in group])
         if law is not None:
             yield law
-    for state in positive:
-        law = saturating_law(model, state, sizes.rates[state])
-        if law is not None:
-            yield law
+    for state in [name for name, ends in sizes.ranges.items() if is_never_negative(ends)]:
+        for of in (None, *coefficients_of_flows(model, state)):
+            law = saturating_law(model, state, sizes.rates[state], of=of)
+            if law is not None:
+                yield law
 
 
 def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:

@@ -103,7 +103,9 @@ def power_law(
     )
 
 
-def saturating_law(model: Model, state: str, typical: float) -> Effect | None:
+def saturating_law(
+    model: Model, state: str, typical: float, *, of: str | None = None
+) -> Effect | None:
     """x becomes x (1 + r x_ref) / (1 + r x), wherever a positive amount x reacts or flows.
 
     The uptake V x / (K + x) of an enzyme (Michaelis and Menten) or of cells (Monod), where the
@@ -111,6 +113,8 @@ def saturating_law(model: Model, state: str, typical: float) -> Effect | None:
     it was at x_ref, `typical` (x's unit). It is exchanged in every balance and derivative that is
     linear in x, also with a slope that depends on other states (cells and sugar), and not in what a
     recorded flow carries along. Near x = 0 the size of x is rounded at a thousandth of x_ref.
+    Where x takes part in several flows, one of them may level off alone: that with the coefficient
+    `of` (`coefficients_of_flows`).
 
     None where x is a temperature, has a position or is one, or is in no such equation.
     """
@@ -123,7 +127,8 @@ def saturating_law(model: Model, state: str, typical: float) -> Effect | None:
 
     def apply(new: Model, names: Sequence[str]) -> None:
         x, r = new.symbol(state), new.symbol(names[0])
-        _exchange(new, state, rows, x * (1 + r * level) / (1 + r * ca.sqrt(x**2 + small)))
+        law = x * (1 + r * level) / (1 + r * ca.sqrt(x**2 + small))
+        _exchange(new, state, rows, law, of)
         new._explicit = None
 
     r = Parameter(
@@ -141,12 +146,32 @@ def saturating_law(model: Model, state: str, typical: float) -> Effect | None:
         apply,
         sided="positive",
         priority=-1,  # as a power law
-        shape=f"{state}/(K+{state})",
-        description=f"a flow that levels off with {state}, as {state}/(K + {state}) does, not in "
-        f"proportion to it ({r.name} is 1/K)",
+        shape=f"{of or ''} {state}/(K+{state})".strip(),
+        description=f"a flow{f' {of} {state}' if of else ''} that levels off with {state}, as "
+        f"{state}/(K + {state}) does, not in proportion to it ({r.name} is 1/K)",
         constants={"reference": typical},
         declared_units={r.name: shown} if shown else {},
     )
+
+
+def coefficients_of_flows(model: Model, state: str) -> list[str]:
+    """Parameters of a flow of `state` beside which it has others.
+
+    Not those of an exchange, in proportion to the difference of two states.
+    """
+    x, found, parts = model.symbol(state), [], []
+    sides = {n: b.total for n, b in model.balances.items()} | dict(model._rates)
+    for name in _flows_linear_in(model, state, is_alone=False):
+        slopes = addends(ca.jacobian(ca.SX(sides[name]), x))
+        parts += [(sides[name], a) for a in slopes if not _is_carried(model, a)]
+    for name, p in model.parameters.items():
+        own = [(side, a) for side, a in parts if ca.which_depends(a, model.symbol(name))[0]]
+        if p.is_constant or not own or len(own) == len(parts):
+            continue
+        along = [addends(ca.jacobian(ca.SX(side), model.symbol(name))) for side, _ in own]
+        if all(len(each) == 1 for each in along):
+            found.append(name)
+    return found
 
 
 def states_with_one_law(model: Model) -> list[tuple[str, ...]]:
@@ -201,13 +226,20 @@ def _power(x: Expr, typical: float, n: Expr) -> Expr:
     return x * ca.exp(0.5 * (n - 1) * ca.log((x**2 + small) / whole))
 
 
-def _exchange(new: Model, state: str, rows: Sequence[str], law: Expr) -> None:
-    """Put a law of a state in its place in these rows, but for what a recorded flow carries."""
+def _exchange(
+    new: Model, state: str, rows: Sequence[str], law: Expr, of: str | None = None
+) -> None:
+    """Put a law of a state in its place in these rows, but for what a recorded flow carries.
+
+    Only in flows of the coefficient `of`, where that is given.
+    """
     x = new.symbol(state)
 
     def exchanged(term: Expr) -> Expr:
         slopes = addends(ca.jacobian(ca.SX(term), x))
         laws = [a for a in slopes if not _is_carried(new, a)]
+        if of is not None:
+            laws = [a for a in laws if ca.which_depends(a, new.symbol(of))[0]]
         if len(laws) == len(slopes):
             return ca.substitute(term, x, law)
         return term + sum(laws) * (law - x) if laws else term
@@ -254,6 +286,12 @@ def _linear_in(model: Model, state: str, *, is_alone: bool) -> list[str]:
         if not all(_is_carried(model, a) for a in addends(slope)):
             found.append(name)
     return found
+
+
+def is_never_negative(lowest_and_most: tuple[float, float]) -> bool:
+    """True if a state is never less than zero, but for a thousandth of its largest value."""
+    low, most = lowest_and_most
+    return bool(np.isfinite(most)) and most > 0.0 and low >= -SMOOTHING.above_zero * most
 
 
 def is_positive(lowest_and_most: tuple[float, float]) -> bool:

@@ -11,7 +11,13 @@ import pytest
 import casid
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.flow_laws import power_law, saturating_law, states_with_one_law
+from casid.model.effects.flow_laws import (
+    coefficients_of_flows,
+    is_never_negative,
+    power_law,
+    saturating_law,
+    states_with_one_law,
+)
 from casid.model.rate_laws import with_balances
 from problems import pendulum
 
@@ -261,6 +267,44 @@ def test_growth_levels_off_with_what_the_cells_live_on():
     assert slopes_at(extended, [3.0, 4.0], {"k": 0.1, "y": 2.0, r: 0.5}) == pytest.approx(
         [growth, -2.0 * growth], rel=1e-5
     )
+
+
+def two_compartments() -> casid.Model:
+    """Plasma that is cleared and exchanges with tissue."""
+    m = casid.Model("two compartments")
+    c, p = m.state("c", "mg/L", initial=0.0), m.state("p", "mg/L", initial=0.0)
+    V, CL = m.parameter("V", "L", start=12.0), m.parameter("CL", "L/h", start=3.0)
+    Q = m.parameter("Q", "L/h", start=6.0)
+    m.balance(c, "plasma", inertia=V, terms=[-CL * c, -Q * (c - p)])
+    m.balance(p, "tissue", inertia=m.constant("V_p", 25.0, "L"), terms=[Q * (c - p)])
+    m.output("conc", c, "mg/L")
+    return m
+
+
+def test_of_several_flows_one_may_level_off_alone():
+    """The clearance does, the exchange with the tissue goes on; it is not a flow of c alone."""
+    m = two_compartments()
+    assert coefficients_of_flows(m, "c") == ["CL"]
+    assert coefficients_of_flows(m, "p") == []
+    assert coefficients_of_flows(reactor(), "S") == []  # its one flow is that law itself
+    effect = saturating_law(m, "c", 0.01, of="CL")
+    assert effect is not None
+    assert effect.key == ("unknown", "plasma: CL c/(K+c)")
+    extended, (r,) = effect.extended(m)
+    V, CL, Q = 12e-3, 3e-3 / 3600, 6e-3 / 3600
+    c, p, K = 0.02, 0.005, 0.012
+    out = CL * c * (1 + 0.01 / K) / (1 + c / K)
+    values = {"V": V, "CL": CL, "Q": Q, "V_p": 25e-3, r: 1 / K}
+    assert slopes_at(extended, [c, p], values) == pytest.approx(
+        [-(out + Q * (c - p)) / V, Q * (c - p) / 25e-3], rel=1e-6
+    )
+
+
+def test_what_starts_at_zero_may_level_off_and_what_goes_below_may_not():
+    assert is_never_negative((0.0, 5.0))
+    assert is_never_negative((-1e-4, 5.0))
+    assert not is_never_negative((-0.1, 5.0))
+    assert not is_never_negative((0.0, np.inf))
 
 
 def test_no_temperature_has_a_law_that_levels_off():
