@@ -200,7 +200,9 @@ class _Likelihood:
                 value += part.value
                 gradient += part.gradient
                 information += part.information
-        return _At(value, gradient, information)
+        # Beside a point whose responses are finite they may overflow: nothing leads on from there.
+        is_finite = np.all(np.isfinite(gradient)) and np.all(np.isfinite(information))
+        return _At(value if is_finite else np.inf, gradient, information)
 
     def _of_record(self, z: Array, e: int) -> _At:
         n, d = len(self.lower), self.criterion.data[e]

@@ -87,6 +87,22 @@ def test_a_point_at_which_the_spectrum_is_singular_is_no_point_of_it() -> None:
     assert search.at(z).value == np.inf
 
 
+def test_a_point_beside_which_the_responses_overflow_is_no_point_of_it(monkeypatch) -> None:
+    """Its slopes are no numbers, and no step leads on from there: the start is kept."""
+    _, _, fit, at = weighed(2, 2e-3)
+    search = _Likelihood(fit.criterion, at.full, {}, [None])
+    z = np.concatenate([fit.x, search.start])
+    assert np.isfinite(search.at(z).value)
+    own = _Likelihood._gains
+
+    def overflows(self, x, e, omega, *, is_beside=False):
+        return np.full_like(own(self, x, e, omega), np.nan if is_beside else 1.0)
+
+    monkeypatch.setattr(_Likelihood, "_gains", overflows)
+    assert search.at(z).value == np.inf
+    assert np.array_equal(likeliest(fit.criterion, fit.x, at.full), fit.x)
+
+
 def test_a_variance_of_next_to_nothing_holds_nothing_else_back() -> None:
     """The information on its logarithm is all but zero, and its own step would be long.
 
