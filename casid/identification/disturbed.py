@@ -424,7 +424,8 @@ def _best_start(
 ) -> dict[str, float]:
     """The start with the best likelihood, among a grid and shares of the residual for sensors.
 
-    All sizes are tried with the first shape, and from the best so far downhill with every other.
+    All sizes are tried until one has a likelihood, and from the best so far downhill with every
+    shape behind it.
     """
     names = criterion.names
     base = {**dict(zip(names, criterion.start.tolist(), strict=True)), **begin}
@@ -444,9 +445,10 @@ def _best_start(
             best, least = point, found
         return found
 
-    for i, (share, shape) in enumerate(itertools.product(SHARES, shapes)):
+    for share, shape in itertools.product(SHARES, shapes):
         at = cache(partial(value, share=share, shape=shape))
-        k = min(range(len(sizes)), key=at) if i == 0 else _downhill(at, k, len(sizes))
+        is_found = np.isfinite(least)
+        k = _downhill(at, k, len(sizes)) if is_found else min(range(len(sizes)), key=at)
     return best
 
 

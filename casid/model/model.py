@@ -435,8 +435,9 @@ class Model(NamedQuantities, Viewed):
         """The declared unit of the first term that is a signal as it is; `si` where none is."""
         for term in terms:
             bare = term.dep(0) if term.is_op(ca.OP_NEG) else term
-            if bare.is_symbolic() and same_dimension(self.unit_of(bare.name()), si):
-                return self.unit_of(bare.name())
+            name = bare.name() if bare.is_symbolic() else ""
+            if name in self._symbols and same_dimension(self.unit_of(name), si):
+                return self.unit_of(name)
         return si
 
     def _once(self, name: str) -> None:

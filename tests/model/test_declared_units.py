@@ -167,6 +167,14 @@ def test_the_unit_of_a_law_follows_from_force_and_coordinate(si, force, coordina
     assert found is None or same_dimension(found, si)
 
 
+def test_a_derivative_alone_in_a_balance_has_no_unit_of_its_own():
+    m = Model("coupled")
+    r, p = m.state("r", "deg/s"), m.state("p", "deg/s")
+    m.balance(p, "roll", inertia=m.constant("I", 2.0, "1"), terms=[-p / m.constant("T", 1.0, "s")])
+    m.balance(r, "yaw", inertia=m.constant("J", 3.0, "1"), terms=[m.der(p), -m.der(r)])
+    assert m.balances["yaw"].shown_unit == m.balances["yaw"].unit
+
+
 def test_a_balance_in_si_leaves_the_units_of_effects_as_they_were():
     m = Model("spring")
     x, v = m.state("x", "mm"), m.state("v", "mm/s")

@@ -48,7 +48,7 @@ class ProfileSearch:
         0.2,
         "standard errors over which the curvature of a criterion at a root is differentiated: what "
         "the third and fourth derivatives give stays a hundredth of what they give at the ends",
-        _CHOICE,
+        _PROFILE,
     )
     seconds: float = _is(
         30.0, "that profiles may take which neither a request nor a budget stands behind", _PROFILE
