@@ -484,6 +484,9 @@ def unit_quotient(unit: str, other: str, power: int | Fraction = 1) -> str:
 def declared_quotient(unit: str, other: str, power: int = 1) -> str:
     """Return the text of `unit / other^power` in their own names: `mg/h` by `mg/L` is `L/h`.
 
+    The names are those of the list (`gram` where `g` alone would have two readings), so that the
+    text can be read again.
+
     Raises
     ------
     UnitError
@@ -497,4 +500,5 @@ def _divided(above: _Terms, below: _Terms, power: int | Fraction) -> str:
     powers: dict[str, Fraction] = {}
     for name, exponent in [*above, *((n, -power * e) for n, e in below)]:
         powers[name] = powers.get(name, Fraction(0)) + exponent
+    powers.pop("1", None)
     return _written(powers)

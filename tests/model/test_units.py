@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from casid.errors import DataError, UnitError
 from casid.model.units import (
     BASE_UNITS,
+    declared_quotient,
     difference_from_si,
     from_si,
     parse_unit,
@@ -86,6 +87,25 @@ def test_the_quotient_of_two_units_is_written_in_si(unit, other, power, quotient
     divided = parse_unit(f"({quotient})" if "/" not in quotient else quotient).dimension
     pairs = zip(parse_unit(unit).dimension, parse_unit(other).dimension, strict=True)
     assert divided == tuple(a - power * b for a, b in pairs)
+
+
+@pytest.mark.parametrize(
+    ("unit", "other", "power", "quotient"),
+    [
+        ("1", "mmol/L", 1, "L/mmol"),
+        ("1", "%", 1, "1/%"),
+        ("1", "m", 2, "1/m^2"),
+        ("mg/h", "1", 1, "mg/h"),
+        ("g/h", "mg/L", 1, "gram L/(h mg)"),  # `g L` alone would have two readings
+        ("N", "mm/s", 2, "N s^2/mm^2"),
+        ("kW", "kW", 1, "1"),
+    ],
+)
+def test_the_quotient_of_two_declared_units_keeps_their_names(unit, other, power, quotient):
+    assert declared_quotient(unit, other, power) == quotient
+    assert parse_unit(quotient).factor == pytest.approx(
+        parse_unit(unit).factor / parse_unit(other).factor ** power
+    )
 
 
 def test_kilonewton_and_knot_are_told_apart_by_case():

@@ -23,7 +23,7 @@ from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model
 from casid.model.rate_laws import addends
-from casid.model.units import same_dimension, unit_quotient
+from casid.model.units import declared_quotient, same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
 
@@ -138,7 +138,7 @@ def saturating_law(
         lower=0.0,
         upper=UNNAMED_EFFECTS.most_saturated / typical,
     )
-    shown = _inverse(model.declared_units.get(state, ""))
+    declared = model.declared_units.get(state)
     return Effect(
         "unknown",
         own[0] if own else state,
@@ -150,7 +150,7 @@ def saturating_law(
         description=f"a flow{f' {of} {state}' if of else ''} that levels off with {state}, as "
         f"{state}/(K + {state}) does, not in proportion to it ({r.name} is 1/K)",
         constants={"reference": typical},
-        declared_units={r.name: shown} if shown else {},
+        declared_units={r.name: declared_quotient("1", declared)} if declared else {},
     )
 
 
@@ -211,12 +211,6 @@ def _flows_linear_in(model: Model, state: str, *, is_alone: bool = True) -> list
     is_rate = model.position_of(state) is not None
     is_position = any(model.position_of(rate) == state for rate in model.states)
     return [] if is_rate or is_position else _linear_in(model, state, is_alone=is_alone)
-
-
-def _inverse(unit: str) -> str:
-    """One over a unit of at most two factors, as L/mmol for mmol/L; "" for any other."""
-    above, _, below = unit.partition("/")
-    return f"{below or 1}/{above}" if above.isalpha() and (below + "a").isalpha() else ""
 
 
 def _power(x: Expr, typical: float, n: Expr) -> Expr:
