@@ -391,7 +391,10 @@ def _grid(
 
 
 def _seen(problem: Problem, fit: Fit, d: Disturbance) -> tuple[float, DisturbanceSpectrum | None]:
-    """Size and spectrum that the residual of least squares shows of a force in that balance."""
+    """Size and spectrum that the residual of least squares shows of a force in that balance.
+
+    The size is that of the whole residual where the estimated noise leaves the force next to none.
+    """
     criterion, model = fit.criterion, problem.model
     balances = {b.rate: b.name for b in model.balances.values()}
     place = balances.get(d.place, d.place)
@@ -406,12 +409,12 @@ def _seen(problem: Problem, fit: Fit, d: Disturbance) -> tuple[float, Disturbanc
         raise
     except (CasidError, ArithmeticError, ValueError):
         return fallback, None
-    size = noise.source_sd.get(place, 0.0)
-    if size == 0.0:
-        response = noise.responses[0]
-        gain = float(np.mean(response.gain2[:, :, response.sources.index(place)].sum(axis=1)))
-        residual = criterion.simulated(fit.x, 0).residual
-        size = float(np.sqrt(np.mean(residual**2) / max(gain, TINY)))
+    response, size = noise.responses[0], noise.source_sd.get(place, 0.0)
+    gain = float(np.mean(response.gain2[:, :, response.sources.index(place)].sum(axis=1)))
+    residual = criterion.simulated(fit.x, 0).residual[criterion.data[0].used]
+    whole = float(np.sqrt(np.mean(residual**2) / max(gain, TINY)))
+    if size < SIZES[0] * whole:  # the noise was given to other places
+        size = whole
     return size or fallback, noise.spectra.get(place)
 
 

@@ -335,6 +335,45 @@ def test_predictions_use_what_was_measured_until_so_many_samples_before():
     assert other == pytest.approx(errors[0], rel=0.15)
 
 
+def sampled_at_random(seed, size=3.0, corner=0.25, N=960, Ts=0.1, every=7):
+    """A concentration in two compartments; an inflow varies by `size`, with a corner in 1/h."""
+    rng, fine = np.random.default_rng(seed), 20
+    dose = np.zeros(N)
+    for begin, rate, hours in ((1, 120, 2), (25, 200, 2), (50, 150, 4), (74, 90, 4)):
+        dose[int(begin / Ts) : int((begin + hours) / Ts)] = rate
+    h, w, (a, b), c = Ts / fine, 0.0, (0.0, 0.0), np.empty(N)
+    for i in range(N):
+        c[i] = a
+        for _ in range(fine):
+            w += -corner * w * h + size * np.sqrt(2 * corner * h) * rng.normal()
+            flow = 6.0 * (a - b)
+            a, b = a + h * (dose[i] + w - 3.5 * a - flow) / 15.0, b + h * flow / 25.0
+    c *= 1 + 0.06 * rng.normal(size=N)
+    c += 0.03 * rng.normal(size=N)
+    units = {"dose": "kg/s", "conc": "kg/m^3"}
+    missing = {"conc": rng.random(N) > 1 / every}
+    values = {"dose": dose / 3.6e9, "conc": c / 1e3}
+    return casid.Record(values, units, 3600 * Ts, missing=missing)
+
+
+def test_the_size_of_a_disturbance_is_found_where_the_noise_was_given_to_another_place():
+    """Random sampling leaves the noise of a residual to any place; the search begins elsewhere."""
+    m = casid.Model("two compartments")
+    c, p = m.state("c", "mg/L"), m.state("p", "mg/L")
+    dose = m.input("dose", "mg/h", hold="zoh", known=True)
+    V = m.parameter("V", "L", start=12.0, lower=1.0)
+    CL, Q = (m.parameter(n, "L/h", start=5.0, lower=0.1) for n in ("CL", "Q"))
+    V_p = m.parameter("V_p", "L", start=20.0, lower=1.0)
+    m.balance(c, "plasma", inertia=V, terms=[dose, -CL * c, -Q * (c - p)], unit="mg/h")
+    m.balance(p, "tissue", inertia=V_p, terms=[Q * (c - p)], unit="mg/h")
+    m.output("conc", c, "mg/L")
+    problem = casid.Problem("two compartments", m, starts=1)
+    found = identify(problem, sampled_at_random(2), disturbances="plasma:first", intervals="quick")
+    (size,) = (p for p in found.parameters if p.name == "size of disturbance in plasma")
+    assert (size.value, size.unit) == (pytest.approx(3.0, abs=3 * size.std_error), "mg/h")
+    assert size.value > 3 * size.std_error
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("linear", [True, False])
 def test_what_is_held_out_is_predicted_one_sample_ahead(linear):
