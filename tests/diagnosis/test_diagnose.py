@@ -235,6 +235,7 @@ def test_two_effects_at_once_are_both_named():
 # -- silence --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_records_without_a_hidden_effect_raise_few_alarms():
     """At most one of four: P(more | 5 %) = 1.4 %; 60 are in `analysis/null_records/study.py`."""
     alarms = 0

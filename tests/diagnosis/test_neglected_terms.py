@@ -240,5 +240,5 @@ def test_what_cells_use_beside_growth_and_what_dies_are_in_proportion_to_them(
     units = {"D": "1/s", "cells": "kg/m^3", "rest": "kg/m^3"}
     record = casid.Record(channels, units, Ts=3600.0 * Ts)
     found = casid.diagnose(chemostat(), record, advise=False)
-    only_cause(found, "unknown", where, (maintenance + death) / 3600.0)
-    assert [p.name for p in found.causes[0].parameters] == ["c_X"]
+    only_cause(found, "unknown", where, maintenance + death)
+    assert [(p.name, p.unit) for p in found.causes[0].parameters] == [("c_X", "1/h")]

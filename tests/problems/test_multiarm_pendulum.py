@@ -167,6 +167,7 @@ def test_drag_takes_the_error_of_the_first_record_down_as_far_as_the_first_fits(
     assert fit.rmse["est_1"]["theta"] == pytest.approx(0.00121, rel=0.02)
 
 
+@pytest.mark.slow
 def test_three_amplitudes_together_want_dry_friction_beside_drag(measured):
     """One set of parameters for 1.6, 1.2 and 0.9 rad: viscous damping is left with nothing.
 

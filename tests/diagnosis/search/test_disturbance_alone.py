@@ -43,6 +43,7 @@ def started(of: casid.Record) -> tuple[Search, Weighted, Fit]:
     return Search(weighing, {}), weighing.weigh(model, base), base
 
 
+@pytest.mark.slow
 def test_a_sea_alone_leaves_nothing_to_seek() -> None:
     search, start, base = started(noisy(record(1)))
     alone = disturbance_alone(search, start, base)

@@ -156,6 +156,7 @@ def test_what_the_errors_of_the_estimates_do_to_what_was_held_out_leaves_the_mod
     assert found.verdict == "adequate", found.sentence
 
 
+@pytest.mark.slow
 def test_what_the_errors_of_the_estimates_do_not_explain_is_sought_in_the_whole_record():
     """A slope that changes where the held-out part begins; noise of 0.2 m hides 0.2 / 0.05 s."""
     found = continued_line(1, bend=0.05)

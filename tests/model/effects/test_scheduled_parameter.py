@@ -153,6 +153,7 @@ def battery() -> casid.Problem:
     return casid.Problem("battery", m)
 
 
+@pytest.mark.slow
 def test_a_resistance_in_what_a_sensor_shows_is_named_with_the_charge_that_it_depends_on():
     """v = v_0 + k z - R (1 - 0.4 (z - 1/2)) i at a charge z counted exactly: R~z, -0.4 R."""
     rng, N = np.random.default_rng(2), 1800
