@@ -37,7 +37,6 @@ from casid.diagnosis.search.candidates import (
     taken_out,
 )
 from casid.diagnosis.search.contributions import contributions_of
-from casid.diagnosis.search.friction_speeds import likeliest_speed, steps_needed
 from casid.diagnosis.search.instant_errors import moved_in_time
 from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.search.rounds import Search
@@ -50,13 +49,13 @@ from casid.diagnosis.search.simulation_errors import (
     why_held_out,
 )
 from casid.diagnosis.search.swinging_parts import in_motion, may_move
-from casid.diagnosis.thresholds import FRICTION, JUDGING, JUMPS, ROUNDS
+from casid.diagnosis.thresholds import JUDGING, JUMPS, ROUNDS
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.thresholds import STEPS
-from casid.model.effects.balance_effects import coulomb_friction
 from casid.model.model import Model
+
+SUPERFLUOUS = "the other causes together leave nothing for it to explain"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,10 +101,10 @@ class Refinement:
                 continue
             if abs(wald(fit, first, null_values(c)[first])) > ROUNDS.backward_wald:
                 continue
-            without = self._without(fit, c)
-            if c.effect.cost > 1 and self._is_missed(fit, without):
+            without = self.without(fit, c)
+            if c.effect.cost > 1 and self.is_missed(fit, without):
                 continue  # its parameters exchange for each other, and none is known by itself
-            refused.append((c, "the other causes together leave nothing for it to explain"))
+            refused.append((c, SUPERFLUOUS))
             kept.remove(a)
             fit = without
         lean = self._lean(found, kept, fit) if refused else found
@@ -125,14 +124,14 @@ class Refinement:
         for a in reversed(found.adopted):
             if len(kept) == 1:
                 break
-            without = self._without(fit, a.candidate)
+            without = self.without(fit, a.candidate)
             reason = why(a, fit, without)
             if reason:
                 refused.append((a.candidate, reason))
                 kept.remove(a)
                 fit = without
         self.search.refused += refused
-        return self._built(found, kept, fit) if refused else found
+        return self.built(found, kept, fit) if refused else found
 
     def exchanged(self, found: Adoption) -> Adoption:
         """With rivals in the place of causes that predict worse."""
@@ -166,13 +165,13 @@ class Refinement:
                     ]
                     adopted[i] = exchanged(found.adopted[i], placed[i])
                     fit, errors, is_new = other, after, True
-        return self._refined(found, adopted, fit) if is_new else found
+        return self.refined(found, adopted, fit) if is_new else found
 
     def _tried(
         self, causes: Sequence[Candidate], near: Fit
     ) -> tuple[list[Candidate], Fit, SimulationErrors]:
         """Other causes in the model, their fit and its errors."""
-        placed, fit = self._with(causes, near)
+        placed, fit = self.with_causes(causes, near)
         return placed, fit, simulation_errors(fit, self.split, self.units)
 
     def in_motion(self, found: Adoption) -> Adoption:
@@ -188,77 +187,13 @@ class Refinement:
         self.search.progress(f"estimate how {what} moves when the record begins")
         causes = [a.candidate for a in found.adopted]
         causes[-1] = replace(causes[-1], effect=in_motion(self.start.model, causes[-1]))
-        placed, other = self._with(causes, fit)
+        placed, other = self.with_causes(causes, fit)
         adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
-        new = self._refined(found, adopted, other)
+        new = self.refined(found, adopted, other)
         more = len(other.x) - len(fit.x)
         price = 0.5 * more * float(np.log(other.criterion.n_samples))
         gain = minus_log_likelihood(found.at) - minus_log_likelihood(new.at)
         return new if gain > price else found
-
-    def sharp(self, found: Adoption, most: int = FRICTION.in_the_end) -> Adoption:
-        """With dry friction that reverses as sharply as the whole records show.
-
-        A blunt reversal is made up for by what is not there: Stribeck's friction, a sensor's scale.
-
-        Parameters
-        ----------
-        most : steps of a simulation that it may take.
-        """
-        adopted, fit = list(found.adopted), found.fit
-        assert fit is not None
-        for i, a in enumerate(adopted):
-            if a.candidate.effect.kind == "coulomb_friction":
-                adopted, fit = self._sharpened(adopted, i, fit, most)
-        if fit is found.fit:
-            return replace(found, adopted=tuple(adopted))
-        return self._refined(found, adopted, fit)
-
-    def _sharpened(
-        self, adopted: list[Adopted], i: int, fit: Fit, most: int
-    ) -> tuple[list[Adopted], Fit]:
-        """With the likeliest smoothing speed of one of the causes."""
-        own = adopted[i].candidate.effect
-        self.search.progress(f"choose the sharpness of {name_of(own)}")
-        affordable = min(STEPS.last, most // fit.criterion.n_samples)
-        placed: dict[float, list[Adopted]] = {}
-
-        def doubled(k: float, near: Fit) -> Fit | None:
-            speed = own.constants["speed"] * 2.0**k
-            last = replace(adopted[i].candidate, fit=near, model=near.criterion.model)
-            needed = steps_needed(last, speed)
-            if needed > affordable:
-                return None
-            steps = max(fit.criterion.substeps, min(round(FRICTION.resolved * needed), affordable))
-            placed[k], new = self._at_speed(adopted, i, speed, near, steps)
-            return new
-
-        likeliest = likeliest_speed(doubled, fit)
-        if likeliest is None:
-            return adopted, fit
-        new = placed[likeliest.doublings]
-        new[i] = replace(new[i], rounding=likeliest.rounding)
-        if likeliest.doublings == 0.0 and not self._is_of(fit, adopted):
-            return new, fit
-        return new, likeliest.fit
-
-    def _is_of(self, fit: Fit, adopted: Sequence[Adopted]) -> bool:
-        """False of a model in which further effects stay that are no causes."""
-        names = {name for a in adopted for name in a.candidate.names}
-        return set(fit.criterion.model.parameters) <= names | set(self.start.model.parameters)
-
-    def _at_speed(
-        self, adopted: Sequence[Adopted], i: int, speed: float, near: Fit, substeps: int
-    ) -> tuple[list[Adopted], Fit]:
-        """The causes with another smoothing speed of one, and their fit."""
-        causes = [a.candidate for a in adopted]
-        effect = coulomb_friction(self.start.model, causes[i].effect.where, speed)
-        is_same = effect.constants == causes[i].effect.constants and self._is_of(near, adopted)
-        if is_same and substeps <= near.criterion.substeps:
-            return list(adopted), near
-        causes[i] = replace(causes[i], effect=effect)
-        placed, fit = self._with(causes, near, substeps)
-        return [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)], fit
 
     def in_time(self, found: Adoption) -> Adoption:
         """With the instants of what sets in where the whole records have them beside all causes.
@@ -272,12 +207,12 @@ class Refinement:
             causes = moved_in_time(self.start.model, adopted, fit)
             if causes is None:
                 break
-            placed, other = self._with(causes, fit)
+            placed, other = self.with_causes(causes, fit)
             if not other.solution.value < fit.solution.value:
                 break
             adopted = [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
             fit = other
-        return found if fit is found.fit else self._refined(found, adopted, fit)
+        return found if fit is found.fit else self.refined(found, adopted, fit)
 
     def main(self, found: Adoption) -> Adoption:
         """Without what explains too little and carries no parameter, the smallest first.
@@ -297,7 +232,7 @@ class Refinement:
             i = min(judged, key=lambda k: losses[k])
             if losses[i] >= JUDGING.practical * total:
                 break
-            without = self._without(bare, kept[i].candidate)
+            without = self.without(bare, kept[i].candidate)
             judged.remove(i)
             is_seen = self._is_seen(bare, without, of_any_share=is_whole)
             if is_seen or _carries(self.start.model, bare, without):
@@ -337,7 +272,7 @@ class Refinement:
                 taken.add(c.effect.key)
                 yield c
 
-    def _is_missed(self, fit: Fit, without: Fit) -> bool:
+    def is_missed(self, fit: Fit, without: Fit) -> bool:
         """True if the fitted part has a practically larger error without an effect."""
         now, then = self._compared(fit, without)
         return then.square > (1 + JUDGING.practical) * now.square
@@ -364,7 +299,7 @@ class Refinement:
         """The errors with all causes but one: a rival has to explain what that one does."""
         if len(adopted) == 1:
             return self.before
-        without = self._without(fit, adopted[i].candidate)
+        without = self.without(fit, adopted[i].candidate)
         return simulation_errors(without, self.split, self.units)
 
     def _is_preferred(
@@ -392,7 +327,7 @@ class Refinement:
         left = (1 - JUDGING.practical) * old.held_out_square  # less is no better in practice
         return fits and 0.0 <= new.held_out_square < left and not why_held_out(old, new)
 
-    def _with(
+    def with_causes(
         self, causes: Sequence[Candidate], near: Fit | None, substeps: int | None = None
     ) -> tuple[list[Candidate], Fit]:
         """These causes in the model as it is, by their new names, and its fit from `near`."""
@@ -402,7 +337,7 @@ class Refinement:
         settings = replace(self.settings, substeps=substeps or self.settings.substeps)
         return placed, whole_fit(model, self.split, settings, self.units, values)
 
-    def _without(self, fit: Fit, c: Candidate) -> Fit:
+    def without(self, fit: Fit, c: Candidate) -> Fit:
         """The model fitted again without one effect."""
         model = taken_out(fit.criterion.model, null_values(c))
         values = {k: v for k, v in fit.values.items() if k not in c.names}
@@ -410,14 +345,14 @@ class Refinement:
 
     def _lean(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
         """The model built anew with the effects that are left: no term stays at its null value."""
-        return found if self._is_astray(found.fit, fit) else self._built(found, kept, fit)
+        return found if self._is_astray(found.fit, fit) else self.built(found, kept, fit)
 
-    def _built(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
+    def built(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
         """The same, however much more the fit leaves."""
         inside = [a for a in found.adopted if a.candidate.names[0] in fit.criterion.names]
         if len(inside) == len(found.adopted):
-            return self._refined(found, kept, fit)
-        placed, fit = self._with([a.candidate for a in inside], fit)
+            return self.refined(found, kept, fit)
+        placed, fit = self.with_causes([a.candidate for a in inside], fit)
         new = {c.effect.key: c for c in placed}
 
         def again(rows: Sequence[Adopted]) -> tuple[Adopted, ...]:
@@ -425,7 +360,7 @@ class Refinement:
                 replace(a, candidate=new.get(a.candidate.effect.key, a.candidate)) for a in rows
             )
 
-        return self._refined(replace(found, remainders=again(found.remainders)), again(kept), fit)
+        return self.refined(replace(found, remainders=again(found.remainders)), again(kept), fit)
 
     def _is_astray(self, whole: Fit | None, lean: Fit) -> bool:
         """True of a fit without some effects that loses what they cannot have explained."""
@@ -434,7 +369,8 @@ class Refinement:
         bare, *_ = on_common_samples(self.before, old)
         return not new.square - old.square <= ROUNDS.lean * (bare.square - old.square)
 
-    def _refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
+    def refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
+        """What is left of the causes, and their fit weighed by the noise that it shows."""
         assert fit is not None
         at = self.search.weighing.weigh(fit.criterion.model, fit, rounds=1)
         return replace(found, adopted=tuple(kept), at=at, fit=fit)

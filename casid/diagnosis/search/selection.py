@@ -17,6 +17,10 @@ from casid.diagnosis.search.alternatives import (
     without_imitations,
 )
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
+from casid.diagnosis.search.friction_sharpness import (
+    with_sharp_friction,
+    without_blunt_reversals,
+)
 from casid.diagnosis.search.powers_of_states import with_better_powers
 from casid.diagnosis.search.reconsideration import better_rivals
 from casid.diagnosis.search.refinement import Adoption, Refinement, exchanged, whole_fit
@@ -38,6 +42,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import HYSTERESIS_SHAPE
 
 SHARPNESS = "the sharpness of dry friction"
+BLUNT = "the test of causes that a blunt reversal of dry friction brings about"
 POWERS = "the powers by which parameters change with states"
 LEAVES_MORE = "it seems to imitate a better law, and leaves more than noise"
 LATE = ("time_delay", "sensor_lag", "actuator_lag")
@@ -76,13 +81,14 @@ def adopt_causes(
     for what, step in (
         (superfluous, refine.significant),
         (POWERS, partial(with_better_powers, refine)),
-        (SHARPNESS, refine.sharp),
+        (SHARPNESS, partial(with_sharp_friction, refine)),
+        (BLUNT, partial(without_blunt_reversals, refine)),
         ("the instants of changes in the whole records", refine.in_time),
         ("the test whether every cause matters", refine.main),
     ):
         found = attempt(what, partial(step, found)) or found
     if found.remainders:  # they made up for what a blunt reversal leaves
-        found = attempt(SHARPNESS, partial(refine.sharp, found)) or found
+        found = attempt(SHARPNESS, partial(with_sharp_friction, refine, found)) or found
     return found
 
 
@@ -310,7 +316,7 @@ class _Selection:
     def sharpen(self, refine: Refinement) -> None:
         """Let dry friction that was adopted last reverse as sharply as the records show."""
         if self.adopted[-1].candidate.effect.kind == "coulomb_friction":
-            sharp = partial(refine.sharp, self.found, FRICTION.samples)
+            sharp = partial(with_sharp_friction, refine, self.found, FRICTION.samples)
             self._take(self.search.attempts.attempt(SHARPNESS, sharp))
 
     def set_in_motion(self, refine: Refinement) -> None:

@@ -27,15 +27,23 @@ def slider() -> casid.Problem:
 
 
 def record(
-    lag: float = 0.0, sharp: float = SHARP, TS: float = TS, duration: float = 8.0
+    lag: float = 0.0,
+    sharp: float = SHARP,
+    TS: float = TS,
+    duration: float = 8.0,
+    falling: float = 0.0,
 ) -> casid.Record:
-    """By SciPy: slow and fast motion, friction that reverses within 15 mm/s, a drive with a lag."""
+    """By SciPy: slow and fast motion, friction that reverses within 15 mm/s, a drive with a lag.
+
+    The friction is larger by `falling` (N) as the motion begins, up to some 0.1 m/s.
+    """
     rng = np.random.default_rng(1)
     t = TS * np.arange(round(duration / TS))
     F = 4.0 * np.sin(2 * np.pi * 0.41 * t) + 3.0 * np.sin(2 * np.pi * 0.13 * t)
 
     def slope(_: float, s: np.ndarray, force: float) -> list[float]:
-        return [s[1], force - 0.6 * s[1] - 12.0 * s[0] - FRICTION * np.tanh(s[1] / sharp)]
+        size = FRICTION + falling * np.exp(-((s[1] / 0.1) ** 2))
+        return [s[1], force - 0.6 * s[1] - 12.0 * s[0] - size * np.tanh(s[1] / sharp)]
 
     def lagging(t: float, s: np.ndarray, force: float) -> list[float]:
         behind = s[2] * np.exp(-t / lag) if lag else 0.0
@@ -88,6 +96,12 @@ def test_friction_beside_a_lag_is_as_sharp_as_alone(lag: float):
     assert found.model is not None
     (friction,) = (c for c in found.model.causes if c.kind == "coulomb_friction")
     assert friction.constants["speed"] == pytest.approx(SHARP, rel=0.2)
+
+
+@pytest.mark.slow
+def test_friction_that_falls_as_the_motion_begins_is_no_matter_of_sharpness():
+    found = casid.diagnose(slider(), record(falling=0.4), advise=False)
+    assert {c.kind for c in found.causes} == {"coulomb_friction", "stribeck_friction"}
 
 
 def sticking(friction: float = 1.2, Ts: float = 0.02) -> casid.Record:
