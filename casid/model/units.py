@@ -482,10 +482,7 @@ def unit_quotient(unit: str, other: str, power: int | Fraction = 1) -> str:
 
 
 def declared_quotient(unit: str, other: str, power: int = 1) -> str:
-    """Return the text of `unit / other^power` in their own names: `mg/h` by `mg/L` is `L/h`.
-
-    The names are those of the list (`gram` where `g` alone would have two readings), so that the
-    text can be read again.
+    """Return `unit / other^power` in their own names of the list: `mg/h` by `mg/L` is `L/h`.
 
     Raises
     ------
@@ -497,8 +494,8 @@ def declared_quotient(unit: str, other: str, power: int = 1) -> str:
 
 def _divided(above: _Terms, below: _Terms, power: int | Fraction) -> str:
     """The text of a unit over a power of another one, both by their factors."""
-    powers: dict[str, Fraction] = {}
+    powers = {"1": Fraction(0)}
     for name, exponent in [*above, *((n, -power * e) for n, e in below)]:
         powers[name] = powers.get(name, Fraction(0)) + exponent
-    powers.pop("1", None)
+    del powers["1"]
     return _written(powers)
