@@ -209,8 +209,7 @@ def _lookup(name: str, text: str) -> str:
         return name
     if name in ALIASES:
         return ALIASES[name]
-    known = [*NAMES, *(a for a in ALIASES if a)]
-    folded = {k.casefold(): k for k in known}
+    folded = {k.casefold(): k for k in (*NAMES, *filter(None, ALIASES))}
     near = difflib.get_close_matches(name.casefold(), list(folded), n=3, cutoff=0.5)
     hint = f"Nearest: {', '.join(folded[n] for n in near)}. " if near else ""
     raise UnitError(
