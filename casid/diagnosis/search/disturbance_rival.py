@@ -123,6 +123,11 @@ def _searched_beside(
     """What a search finds beside disturbances, and its score: infinite where that is nothing."""
     settings.progress("treat the remainder as a disturbance, and test every effect in its presence")
     other = adopt_causes(again, bare, baseline.fit, baseline.split, settings.fit)
+    if other.fit is not None:
+        # It was extended under the disturbance of the model as it is; its own may be another one.
+        own = again.under_disturbance(other.fit)
+        if minus_log_likelihood(own) < minus_log_likelihood(other.at):
+            other = replace(other, at=own)
     other = _significant(other, bare, again, bare)
     if not other.adopted:
         return other, math.inf

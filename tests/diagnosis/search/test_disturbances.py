@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
+from casid.diagnosis.search import disturbance_rival
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.disturbance_price import as_white
 from casid.diagnosis.search.disturbance_rival import _beside, _each_beside
@@ -149,6 +150,29 @@ def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_m
     kept = _each_beside(again, both, baseline, search, settings)
     assert [a.candidate.effect.kind for a in kept.adopted] == ["quadratic_damping"]
     assert [c.effect.kind for c, _ in search.refused] == ["parameter_jump"]
+
+
+@pytest.mark.slow
+def test_what_is_found_beside_a_sea_is_judged_in_the_sea_that_it_leaves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The sea of the model as it is has to explain the drag as well, and is larger."""
+    once, settings = FitSettings(starts=1), DiagnosisSettings()
+    split = split_records([casid.Experiment(record(3, drag=1.5), {}, "sea")], 0.3)
+    model, weighing = hull().model, Weighing(split.fitted).with_disturbances()
+    search = Search(weighing, {})
+    base = fit_model(model, split.fitted, once)
+    bare = search.under_disturbance(base)
+    drag = search.refitting.refit(bare, quadratic_damping(model, "moment"), 1.0)
+    assert drag is not None
+    fit = fit_model(drag.model, split.fitted, once, start=drag.fit.values, throw=False)
+    in_its_sea = replace(bare, model=drag.model, fit=drag.fit, unbiased=None)
+    found = Adoption((Adopted(drag, 1e-9, ()),), in_its_sea, fit)
+    monkeypatch.setattr(disturbance_rival, "adopt_causes", lambda *_: found)
+    baseline: Any = SimpleNamespace(fit=base, split=split, start=bare)
+    other, _ = disturbance_rival._searched_beside(search, bare, baseline, settings)
+    own = minus_log_likelihood(search.under_disturbance(fit))
+    assert minus_log_likelihood(other.at) <= own < minus_log_likelihood(in_its_sea)
 
 
 @pytest.mark.slow
