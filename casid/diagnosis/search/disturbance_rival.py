@@ -106,9 +106,9 @@ def weighed_against_disturbances(
         if not is_random and is_all_but_predicted(*errors) and is_more_than_noise(own, again):
             return search, start, charged  # what little is left is no disturbance
         found = charged
-    other, likelier = _searched_beside(again, bare, baseline, settings)
+    other, likelier, bare = _searched_beside(again, bare, baseline, settings)
     _add_refused(search, again.refused)
-    if other.fit is not None and likelier < min(score, nothing):
+    if other.fit is not None and likelier < min(score, nothing, score_of(bare)):
         if is_random or not found.adopted or not is_more_than_noise(other.at, again):
             return replace(again, refused=search.refused), bare, other
     if is_random:
@@ -119,8 +119,11 @@ def weighed_against_disturbances(
 
 def _searched_beside(
     again: Search, bare: Weighted, baseline: Baseline, settings: DiagnosisSettings
-) -> tuple[Adoption, float]:
-    """What a search finds beside disturbances, and its score: infinite where that is nothing."""
+) -> tuple[Adoption, float, Weighted]:
+    """What a search finds beside disturbances, its score, and the model as it is, in any of them.
+
+    The score is infinite where nothing is found.
+    """
     settings.progress("treat the remainder as a disturbance, and test every effect in its presence")
     other = adopt_causes(again, bare, baseline.fit, baseline.split, settings.fit)
     if other.fit is not None:
@@ -128,10 +131,12 @@ def _searched_beside(
         own = again.under_disturbance(other.fit)
         if minus_log_likelihood(own) < minus_log_likelihood(other.at):
             other = replace(other, at=own)
+            bare = again.weighing.from_disturbance_of(bare, own)
     other = _significant(other, bare, again, bare)
     if not other.adopted:
-        return other, math.inf
-    return other, _score(other.at, other.adopted, search=again, counted=bare.criterion)
+        return other, math.inf, bare
+    score = _score(other.at, other.adopted, search=again, counted=bare.criterion)
+    return other, score, bare
 
 
 def _beside(weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted) -> float:
