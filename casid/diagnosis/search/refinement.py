@@ -32,6 +32,7 @@ from casid.diagnosis.search.candidates import (
     Candidate,
     Rival,
     extended_by,
+    is_needed,
     name_of,
     null_values,
     taken_out,
@@ -142,6 +143,9 @@ class Refinement:
         is_new = False
         for i in range(len(adopted)):
             is_limit = _is_at_its_limit(fit, adopted[i].candidate)
+            rest = [a.candidate for k, a in enumerate(adopted) if k != i]
+            if is_needed(self.start.model, rest):
+                continue
             rivals = list(self._rivals(adopted, i, is_limit=is_limit))
             bare = self._errors_without(adopted, i, fit) if rivals else self.before
             for rival in rivals:
