@@ -162,7 +162,7 @@ def on_common_samples(found: Sequence[Candidate]) -> list[Candidate]:
 
     A late sensor leaves out what it cannot know, first of all the start of a record. Such a
     candidate gets the gain of the best that counts every sample, and what it leaves less than that
-    one on the samples of both.
+    one on the samples of both, each less what input noise gives to it.
     """
     counts = [sum(int((d.used > 0).sum()) for d in c.fit.criterion.data) for c in found]
     whole = [c for c, n in zip(found, counts, strict=True) if n == max(counts)]
@@ -179,6 +179,7 @@ def on_common_samples(found: Sequence[Candidate]) -> list[Candidate]:
             ]
         )
         less = float(np.sum((_losses(best) - _losses(c))[both]))
+        less -= best.of_inputs - c.of_inputs
         out.append(replace(c, gain=best.gain + 2 * less))
     return out
 
@@ -244,7 +245,11 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         is_near = c.merit > COMPARISON.vuong_share * best.merit
         is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
         is_open |= is_blurred and _is_near_law(best, c)
-        if c.merit > best.merit and 2 * total > COMPARISON.strong and p < COMPARISON.vuong_p:
+        # Worse only by what noise of the inputs is taken off: neither is better. Of a channel that
+        # foretells a noisy input that is all its advantage.
+        is_open |= total < 0.0 and c.effect.kind != "extra_input"
+        is_worse = 2 * total > COMPARISON.strong and p < COMPARISON.vuong_p
+        if c.merit > best.merit and is_worse and best.effect.kind != "extra_input":
             continue  # better only by more noise of the inputs than there is
         if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))

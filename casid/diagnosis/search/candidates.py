@@ -28,6 +28,7 @@ class Candidate:
     wald: float  # robust z of the first parameter
     score: Score | None = None
     of_windows: int = 0  # initial states that its own states have in windows, each but the first
+    of_inputs: float = 0.0  # what noise of the inputs alone gives to its criterion
 
     @property
     def unknowns(self) -> float:

@@ -244,6 +244,7 @@ class Refitting:
             gain=2 * (before - after),
             cost=(effect.cost + of_windows) * float(np.log(criterion.n_samples)),
             of_windows=of_windows,
+            of_inputs=fit.solution.value - after,
             wald=wald(fit, names[0], effect.parameters[0].start),
         )
 
