@@ -390,18 +390,21 @@ def step_without_bias(
     return np.clip(x + root @ step, lower, upper), length
 
 
-def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
+def scan(fit: Fit, own: str | None, effects: Sequence[Effect]) -> Array:
     """Sum of squares that each effect would leave in the place of the parameter `own`, (K,).
 
     Linear in the effects, about a fit that already has one of their kind: the residual with that
-    one taken out is regressed on each candidate's sensitivity and the other unknowns'.
+    one taken out is regressed on each candidate's sensitivity and the other unknowns'. A fit that
+    has none of the kind is given no `own`.
     """
     e, psi = _regressed(fit, own, effects)
     size = np.maximum(np.einsum("ij,ij->j", psi, psi), TINY)
     return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
 
 
-def scan_pairs(fit: Fit, own: str, firsts: Sequence[Effect], lasts: Sequence[Effect]) -> Array:
+def scan_pairs(
+    fit: Fit, own: str | None, firsts: Sequence[Effect], lasts: Sequence[Effect]
+) -> Array:
     """As `scan`, of each of `firsts` less each of `lasts` in the place of the parameter, (K, L)."""
     e, psi = _regressed(fit, own, [*firsts, *lasts])
     products, along = psi.T @ psi, psi.T @ e
@@ -410,16 +413,18 @@ def scan_pairs(fit: Fit, own: str, firsts: Sequence[Effect], lasts: Sequence[Eff
     return np.asarray(e @ e - (along[:k, None] - along[None, k:]) ** 2 / np.maximum(left, TINY))
 
 
-def _regressed(fit: Fit, own: str, effects: Sequence[Effect]) -> tuple[Array, Array]:
+def _regressed(fit: Fit, own: str | None, effects: Sequence[Effect]) -> tuple[Array, Array]:
     """Residual without the parameter `own` (M,) and signatures (M, K), off all other tangents."""
     base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
     parts = [columns.of_record(wide.start, k) for k in range(len(wide.data))]
     e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))
     parts.clear()
-    mine = base.names.index(own)
-    e = e + t_all[:, mine] * fit.x[mine]
-    rest = np.delete(t_all, mine, axis=1)
+    rest = t_all
+    if own is not None:
+        mine = base.names.index(own)
+        e = e + t_all[:, mine] * fit.x[mine]
+        rest = np.delete(t_all, mine, axis=1)
     rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
     q, _ = np.linalg.qr(rest)
     e = e - q @ (q.T @ e)

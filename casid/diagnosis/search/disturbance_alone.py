@@ -20,6 +20,7 @@ from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
+from casid.diagnosis.search.jump_times import placed_by_tangents
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.temporary_changes import temporary_changes
@@ -27,7 +28,7 @@ from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 from casid.model.effects.periodic import sinusoid
-from casid.model.effects.search_ranges import PERIODIC_FORCES
+from casid.model.effects.search_ranges import PARAMETER_JUMPS, PERIODIC_FORCES
 
 
 def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | None:
@@ -55,6 +56,7 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
     for effects, cost, noise in (
         (_best(bare, table), 1, bare.noise),
         (_best(start, alone), 1, start.noise),
+        (_over_again(start, alone), PARAMETER_JUMPS.cost_of_two, start.noise),
         (_lines(start, alone), PERIODIC_FORCES.cost, start.noise),
     ):
         needed = 0.5 * price_of(cost, start.criterion.n_samples, len(alone.tested))
@@ -82,6 +84,16 @@ def _best(at: Weighted, table: ScoreTable) -> list[Effect]:
     scored.sort(key=lambda s: -s.unrobust)
     best = [*scored[: DISTURBED.looked_at], *temporary_changes(at, table)]
     return [s.effect for s in best]
+
+
+def _over_again(at: Weighted, table: ScoreTable) -> list[Effect]:
+    """The most promising change that is over before the record is, at the instants of least misfit.
+
+    Scores of steps place it roughly, and there it gains nothing beside a disturbance, which
+    explains what two inexact instants leave.
+    """
+    promising = temporary_changes(at, table)[:1]
+    return [placed_by_tangents(at, s.effect) for s in promising]
 
 
 def _lines(at: Weighted, table: ScoreTable) -> list[Effect]:

@@ -14,6 +14,7 @@ from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
+from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.clock_effects import at_instant, knock
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
@@ -60,19 +61,37 @@ def _between(
     refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
 ) -> Candidate:
     """Scan both instants of what is over again, ever finer, about the last refit."""
-    start, stop = window_of(at)
-    Ts = min(d.Ts for d in at.criterion.data)
     for reach in _reaches(at):
-        ends = [found.effect.constants[name] for name in ("time", "end")]
-        grid = reach * np.linspace(-1, 1, JUMPS.ends)
-        times = [[float(t) for t in end + grid if start < t < stop] for end in ends]
-        steps = [[at_instant(found.effect, found.model, t) for t in side] for side in times]
-        left = scan_pairs(found.fit, found.names[0], *steps)
-        left[np.subtract.outer(times[0], times[1]) > -Ts] = np.inf
-        i, j = np.unravel_index(int(np.argmin(left)), left.shape)
-        first, last = times[0][int(i)], times[1][int(j)]
+        first, last = _best_pair(at, found.fit, found.names[0], found.effect, reach)
         found = _better_at(refitting, at, found, first, known, last)
     return found
+
+
+def placed_by_tangents(at: Weighted, effect: Effect) -> Effect:
+    """What is over again, between the instants that leave least, without a refit.
+
+    By its tangents at a fit without it, to a part of a sample; as it is where it is not over.
+    """
+    for reach in _reaches(at) if effect.end is not None else ():
+        first, last = _best_pair(at, at.fit, None, effect, reach)
+        effect = at_instant(effect, at.model, first, last)
+    return effect
+
+
+def _best_pair(
+    at: Weighted, fit: Fit, own: str | None, effect: Effect, reach: float
+) -> tuple[float, float]:
+    """The instants within reach of an effect's own [s] that leave least, of what is over again."""
+    start, stop = window_of(at)
+    Ts = min(d.Ts for d in at.criterion.data)
+    grid = reach * np.linspace(-1, 1, JUMPS.ends)
+    ends = (effect.constants[name] for name in ("time", "end"))
+    times = [[float(t) for t in end + grid if start < t < stop] for end in ends]
+    steps = [[at_instant(effect, fit.criterion.model, t) for t in side] for side in times]
+    left = scan_pairs(fit, own, *steps)
+    left[np.subtract.outer(times[0], times[1]) > -Ts] = np.inf
+    i, j = np.unravel_index(int(np.argmin(left)), left.shape)
+    return times[0][int(i)], times[1][int(j)]
 
 
 def _reaches(at: Weighted) -> Iterator[float]:

@@ -16,7 +16,9 @@ from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.disturbance_alone import disturbance_alone
 from casid.diagnosis.search.disturbance_price import price_of
+from casid.diagnosis.search.jump_times import placed_by_tangents
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.holdout import split_records
@@ -71,6 +73,56 @@ def test_a_line_beside_a_sea_is_sought() -> None:
     moved = {"fin": sea["fin"], "roll": sea["roll"] + roll, "rate": sea["rate"] + rate}
     search, start, base = started(casid.Record(moved, sea.units, Ts=sea.Ts))
     assert disturbance_alone(search, start, base) is None
+
+
+def aired(seed: int, window: float) -> tuple[Search, Weighted, Fit]:
+    """A room's CO2 in ppm, whose leak wanders; a window [m^3/h] stands open for 70 minutes.
+
+    V dC/dt = g n - (fan + leak) C, in steps of a minute that are exact for a held flow.
+    """
+    rng = np.random.default_rng(seed)
+    N, volume, gives, leak, slow = 900, 240.0, 20_000.0, 40.0, 0.95
+    people, fan = np.repeat(rng.integers(0, 12, (2, N // 30)), 30, axis=1)
+    fan = 60.0 + 20.0 * fan
+    wander, level, course = 0.0, 200.0, []
+    for k in range(N):
+        course.append(level)
+        wander = slow * wander + 3.0 * np.sqrt(1 - slow**2) * rng.normal()
+        flow = fan[k] + leak + wander + window * (330 <= k < 400)
+        settled = gives * people[k] / flow
+        level = settled + (level - settled) * np.exp(-flow / volume / 60)
+    shown = np.array(course) + 6.0 * rng.normal(size=N)
+    m = casid.Model("room")
+    C, n = m.state("C", "ppm", start=200.0), m.input("n", "1", hold="zoh", known=True)
+    q = m.input("fan", "m^3/h", hold="zoh", known=True)
+    g = m.parameter("g", "L/h", start=15.0, lower=1.0)
+    leaks = m.parameter("leak", "m^3/h", start=20.0, lower=0.0)
+    m.balance(C, "air", inertia=m.constant("V", volume, "m^3"), terms=[g * n, -(q + leaks) * C])
+    m.output("CO2", C, "ppm")
+    units = {"n": "1", "fan": "m^3/s", "CO2": "1"}
+    of = casid.Record({"n": people, "fan": fan / 3600, "CO2": shown / 1e6}, units, Ts=60.0)
+    split = split_records([casid.Experiment(of, {}, "room")], 0.3)
+    weighing = Weighing(split.fitted)
+    base = fit_model(m, split.fitted, FitSettings(starts=1))
+    return Search(weighing, {}), weighing.weigh(m, base), base
+
+
+def test_what_is_over_again_gains_beside_a_disturbance_at_its_exact_instants() -> None:
+    """Scores place it by instants 48 minutes apart: what these leave passes for a disturbance."""
+    search, start, base = aired(4, window=60.0)
+    bare = search.under_disturbance(base)
+    at = replace(bare, fit=bare.unbiased or bare.fit)
+    rough = temporary_changes(start, search.table(start, []))[0].effect
+    exact = placed_by_tangents(start, rough)
+    near = 0.2 * 48 * 60.0
+    assert abs(exact.constants["time"] - 330 * 60.0) < near
+    assert abs(exact.constants["end"] - 400 * 60.0) < near
+    columns = extended_columns(replace(at.fit, criterion=unwhitened(at)), [rough, exact])
+    needed = 0.5 * price_of(exact.cost, start.criterion.n_samples, 50)
+    gains = [
+        gain_beside(at, columns, [i], known={}, passing=needed, under=start.noise) for i in (0, 1)
+    ]
+    assert gains[0] < needed < gains[1]
 
 
 @pytest.mark.slow
