@@ -419,7 +419,8 @@ def _alike(
 ) -> list[tuple[str, ...]]:
     """Those of `candidates` in groups whose |G|^2 are multiples of one another; none that is 0.
 
-    Outputs, which may differ by orders of magnitude in SI, count in the criterion's weights.
+    Outputs, which may differ by orders of magnitude in SI, count in the criterion's weights. What
+    acts on one output alone is not like what acts on that and on another.
     """
     groups: list[list[str]] = []
     if not sources:
@@ -427,14 +428,15 @@ def _alike(
     weighted = [r.gain2 * weights[:, None] ** 2 for r in responses]
     stacked = np.concatenate([g.reshape(-1, len(sources)) for g in weighted])
     logs = 0.5 * np.log(np.maximum(stacked, TINY))
+    strong = stacked > 1e-6 * stacked.max(axis=0, initial=0.0)
     for name in candidates:
         j = sources.index(name)
-        strong = stacked[:, j] > 1e-6 * stacked[:, j].max(initial=0.0)
-        if not strong.any() or stacked[:, j].max() <= 0:
+        if not strong[:, j].any():
             continue
         for group in groups:
-            gap = logs[strong, j] - logs[strong, sources.index(group[0])]
-            if float(np.std(gap)) < 0.25:
+            head = sources.index(group[0])
+            either = strong[:, j] | strong[:, head]
+            if float(np.std(logs[either, j] - logs[either, head])) < 0.25:
                 group.append(name)
                 break
         else:

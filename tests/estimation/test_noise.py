@@ -382,6 +382,25 @@ def test_which_forces_act_alike_does_not_depend_on_the_size_of_an_output(size):
     assert estimate_noise(criterion, criterion.start).alike == (("first",), ("second",))
 
 
+@pytest.mark.parametrize("order", [("warm", "air"), ("air", "warm")])
+def test_what_acts_on_one_output_is_not_like_what_acts_on_two(order):
+    """On the temperature they are alike; a current is seen in the voltage as well."""
+    m = casid.Model("cell")
+    T = m.state("T", "K")
+    drive = {name: m.input(name, "1") for name in order}
+    lost, c = m.parameter("lost", "1/s", start=0.1, lower=0.01), m.constant("c", 0.1, "K/s")
+    m.balance(T, "heat", inertia=1, terms=[c * drive["warm"], c * drive["air"], -lost * T])
+    m.output("T", T, "K")
+    m.output("U", m.constant("R", 0.01, "V") * drive["warm"], "V")
+    rng = np.random.default_rng(3)
+    channels = dict(zip(("warm", "air", "T", "U"), rng.normal(size=(4, 400)), strict=True))
+    record = casid.Record(channels, {"warm": "1", "air": "1", "T": "K", "U": "V"}, Ts=1.0)
+    criterion = SimulationError(m, [casid.Experiment(record)], weights=np.ones(2))
+    groups = estimate_noise(criterion, criterion.start).alike
+    assert not any({"warm", "air"} <= set(group) for group in groups)
+    assert any({"air", "heat"} <= set(group) for group in groups)
+
+
 def test_the_noise_of_an_input_counts_whichever_way_another_turns_its_gain():
     """dy/dt = u w - a y; u is 1 or -1 as often, so that w acts with a gain of zero on average."""
     rng = np.random.default_rng(5)

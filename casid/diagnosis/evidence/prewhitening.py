@@ -323,10 +323,16 @@ class Weighing:
             return None
         alone = partial(estimate_noise, c, fit.x, responses=full.responses, has_disturbances=False)
         floors = input_noise_floor(c.data, list(c.model.inputs))
-        found = alone(known=known)
-        over = {n: floor for n, floor in floors.items() if found.source_sd.get(n, 0.0) > floor}
-        if over:
-            found = alone(known={**over, **known})
+        held = dict(known)
+        found = alone(known=held)
+        # An input that is held at its floor leaves its share to the next one that acts alike.
+        while over := {
+            name: floor
+            for name, floor in floors.items()
+            if name not in held and found.source_sd.get(name, 0.0) > floor
+        }:
+            held |= over
+            found = alone(known=held)
         price = 0.5 * len(forces) * float(np.log(c.n_samples))
         return replace(found, known=full.known) if found.misfit - full.misfit < price else None
 
