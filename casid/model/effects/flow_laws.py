@@ -18,7 +18,7 @@ from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import bracketed
-from casid.model.effects.place import Place, is_zero
+from casid.model.effects.place import Place, is_mechanical, is_zero
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model
@@ -207,10 +207,16 @@ def _own_slopes(model: Model) -> dict[str, Expr]:
 
 
 def _flows_linear_in(model: Model, state: str, *, is_alone: bool = True) -> list[str]:
-    """`_linear_in` of what is no speed or position of a mechanical motion, else nothing."""
-    is_rate = model.position_of(state) is not None
-    is_position = any(model.position_of(rate) == state for rate in model.states)
-    return [] if is_rate or is_position else _linear_in(model, state, is_alone=is_alone)
+    """`_linear_in` of what is no speed or position of a mechanical motion, else nothing.
+
+    A twist between two bodies is a position of theirs: of all states, its rate depends on their
+    speeds alone.
+    """
+    speeds = {name for name in model.states if model.position_of(name) is not None}
+    speeds |= {b.rate for b in model.balances.values() if is_mechanical(b.unit)}
+    moved_by = {s.name() for s in ca.symvar(model._rates.get(state, ca.SX(0)))} & set(model.states)
+    is_motion = state in speeds or (bool(moved_by) and moved_by <= speeds)
+    return [] if is_motion else _linear_in(model, state, is_alone=is_alone)
 
 
 def _power(x: Expr, typical: float, n: Expr) -> Expr:

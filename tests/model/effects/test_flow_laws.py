@@ -115,6 +115,33 @@ def test_springs_and_speeds_with_a_position_follow_no_power_law():
     assert power_law(model, "p", 0.1) is None
 
 
+def test_a_shaft_and_what_it_couples_follow_no_law_of_flow():
+    """Friction that levels off is dry, and a twist is no store: its rate is that of two bodies."""
+    m = casid.Model("drive train")
+    w, g, e = m.state("w", "rpm"), m.state("g", "rpm"), m.state("e", "deg")
+    T = m.input("T", "N m", known=True)
+    J = m.constant("J", 0.1, "kg m^2")
+    k, b = m.parameter("k", "N m/rad", start=10.0), m.parameter("b", "N m s/rad", start=0.1)
+    m.derivative(e, w - g)
+    m.balance(w, "motor", inertia=J, terms=[T, -k * e])
+    m.balance(g, "load", inertia=J, terms=[k * e, -b * g])
+    m.output("w", w, "rpm")
+    for state in ("w", "g", "e"):
+        assert power_law(m, state, 1.0) is None
+        assert saturating_law(m, state, 1.0) is None
+
+
+def test_a_pressure_that_a_piston_changes_is_a_store():
+    """Its rate depends on the speed, and on its own leak."""
+    m = casid.Model("cylinder")
+    v, p = m.state("v", "m/s"), m.state("p", "bar")
+    c, A = m.parameter("c", "1/s", start=1.0), m.constant("A", 1e-3, "m^2")
+    m.derivative(p, m.constant("s", 1e8, "Pa/m") * v - c * p)
+    m.balance(v, "force", inertia=m.constant("M", 5.0, "kg"), terms=[-A * p])
+    m.output("p", p, "bar")
+    assert power_law(m, "p", 1.0) is not None
+
+
 def test_the_sensitivity_to_an_exponent_is_its_derivative():
     model = tanks()
     effect = power_law(model, "h1", LEVEL)
