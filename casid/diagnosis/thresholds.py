@@ -818,7 +818,10 @@ class Rounds:
         f"{TESTS}/search/test_imitations.py",
     )
     backward_wald: float = _is(
-        2.0, "standard errors below which a cause is eliminated again", POWER_STUDY
+        2.0,
+        "standard errors below which a cause is eliminated again, or more where it was chosen "
+        "among many",
+        POWER_STUDY,
     )
     overfit: float = _is(
         0.1,

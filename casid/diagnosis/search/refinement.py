@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
+from scipy.stats import norm
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
@@ -92,15 +93,22 @@ class Refinement:
         return simulation_errors(self.base, self.split, self.units)
 
     def significant(self, found: Adoption) -> Adoption:
-        """Without what later causes have made insignificant, last first."""
+        """Without what later causes have made insignificant, last first.
+
+        As significant as a cause has to be when it is adopted, chosen among all that were tested: a
+        parameter that rises with a fan beside the drift of a sensor, say, which it stood in for.
+        """
         kept, fit, refused = list(found.adopted), found.fit, []
         assert fit is not None
+        table = self.search.first_table
+        tested = max(len(table.tested) if table is not None else 1, 1)
+        least = max(float(norm.isf(self.search.alpha / (2 * tested))), ROUNDS.backward_wald)
         for a in reversed(found.adopted):
             c = a.candidate
             first = c.names[0]
             if len(kept) == 1 or c.effect.test != "score":
                 continue
-            if abs(wald(fit, first, null_values(c)[first])) > ROUNDS.backward_wald:
+            if abs(wald(fit, first, null_values(c)[first])) > least:
                 continue
             without = self.without(fit, c)
             if c.effect.cost > 1 and self.is_missed(fit, without):

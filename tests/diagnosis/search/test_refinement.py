@@ -30,6 +30,7 @@ from casid.model.effects.parameter_effects import parameter_drift
 from problems import roll_decay
 
 ONCE = casid.FitSettings(starts=1)
+MODULE = "casid.diagnosis.search.refinement"
 
 
 @functools.cache
@@ -64,6 +65,25 @@ def hardening(of: Refinement) -> Candidate:
     found = of.search.refitting.refit(of.start, cubic_stiffness(of.start.model, "torque"), 4.0)
     assert found is not None
     return found
+
+
+@pytest.mark.parametrize(("tested", "is_cause"), [(1, True), (60, False)])
+def test_what_was_chosen_among_many_stays_as_significant_as_it_had_to_be(
+    monkeypatch: pytest.MonkeyPatch, tested: int, is_cause: bool
+) -> None:
+    """Three standard errors have a p of 0.0027, of one in sixty 0.16 (Bonferroni)."""
+    of = refinement(0.07)
+    first = hardening(of)
+    second = beside(of, first, quadratic_damping(first.model, "torque"), 0.07)
+    sizes = {"k_3": 3.0, "d_2": 30.0}
+    monkeypatch.setattr(f"{MODULE}.wald", lambda fit, name, null: sizes[name])
+    monkeypatch.setattr(of.search, "first_table", SimpleNamespace(tested=[None] * tested))
+    monkeypatch.setattr(Refinement, "_is_astray", lambda *_: False)
+    kept = of.significant(adopted(of, first, second)).adopted
+    assert [a.candidate.effect.kind for a in kept] == [
+        *["cubic_stiffness"] * is_cause,
+        "quadratic_damping",
+    ]
 
 
 @pytest.mark.parametrize(("drag", "is_cause"), [(0.07, True), (0.002, False)])
