@@ -39,6 +39,7 @@ from casid.diagnosis.evidence.prewhitening import (
     Weighted,
     minus_log_likelihood,
 )
+from casid.diagnosis.search.alternatives import is_imitator
 from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
 from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
 from casid.diagnosis.search.refinement import Adoption, Refinement
@@ -170,13 +171,16 @@ def _each_beside(
     """What was found, without causes in whose place a disturbance explains as much beside the rest.
 
     The first cause may be a law, and a later one what a disturbance leaves. One alone is compared
-    with a disturbance as all are together.
+    with a disturbance as all are together. Where all causes leave noise, laws stay: a change in
+    time may have followed a slow disturbance through the record.
 
     Parameters
     ----------
     again : the search with disturbances in the noise.
     """
-    if len(found.adopted) < 2 or not found.at.noise_absorbs_misfit:
+    is_open = found.at.noise_absorbs_misfit
+    doubted = [a for a in found.adopted if is_open or is_imitator(a.candidate)]
+    if len(found.adopted) < 2 or not doubted:
         return found
     base, split = baseline.fit, baseline.split
     units = base.criterion.weights
@@ -185,7 +189,7 @@ def _each_beside(
     is_sound = Soundness(base, split)
 
     def why(cause: Adopted, fit: Fit, without: Fit) -> str:
-        if _foresees(without, fit, split) or not is_sound(without):
+        if cause not in doubted or _foresees(without, fit, split) or not is_sound(without):
             return ""
         beside, instead = search.under_disturbance(fit), search.under_disturbance(without)
         score_of = partial(_score, search=search, counted=base.criterion)

@@ -127,8 +127,14 @@ def test_spikes_of_a_sensor_are_told_in_a_sea() -> None:
 
 
 @pytest.mark.slow
-def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_much() -> None:
-    """Drag is a law in any sea; a righting moment that changes half-way follows this one."""
+@pytest.mark.parametrize("is_open", [True, False])
+def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_much(
+    is_open: bool,
+) -> None:
+    """Drag is a law in any sea; a righting moment that changes half-way follows this one.
+
+    Also where both together are taken to leave noise: a change in time is doubted all the same.
+    """
     once = FitSettings(starts=1)
     split = split_records([casid.Experiment(record(3, drag=1.5), {}, "sea")], 0.3)
     model, settings = hull().model, DiagnosisSettings()
@@ -144,7 +150,8 @@ def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_m
     assert jump is not None
     fit = fit_model(jump.model, split.fitted, once, start=jump.fit.values, throw=False)
     causes = tuple(Adopted(c, 1e-9, ()) for c in (drag, jump))
-    both = Adoption(causes, weighing.weigh(jump.model, fit), fit)
+    beside = replace(weighing.weigh(jump.model, fit), noise_absorbs_misfit=is_open)
+    both = Adoption(causes, beside, fit)
     baseline: Any = SimpleNamespace(fit=base, split=split, start=start)
     again = replace(search, weighing=weighing.with_disturbances())
     kept = _each_beside(again, both, baseline, search, settings)
