@@ -74,6 +74,14 @@ def common_unit(expressions: Sequence[Any], units: Mapping[str, str], *, is_rota
     return unit_of_dimension(found.most_common(1)[0][0], is_rotation=is_rotation)
 
 
+def rate_in_own_unit(unit: str, si: str) -> str:
+    """What changes an angle or a share in `unit`, over s: deg/s^2 of one in deg/s; else `si`."""
+    if is_si(unit) or not any(same_dimension(unit, of) for of in ("rad", "rad/s")):
+        return si
+    text = declared_quotient(unit, "s")
+    return text if same_dimension(text, si) else si
+
+
 def unit_in_balance(unit: str, force: str, coordinates: Sequence[str]) -> str | None:
     """The SI `unit` as that of a force, or of one by a power of a coordinate, in declared units.
 

@@ -23,7 +23,12 @@ import casadi as ca
 
 from casid.errors import ModelError, nearest, require_texts
 from casid.model.declarations import Balance, Expr, Input, Stage
-from casid.model.declared_units import common_unit, refuse_conversion, si_text
+from casid.model.declared_units import (
+    common_unit,
+    rate_in_own_unit,
+    refuse_conversion,
+    si_text,
+)
 from casid.model.explicit_form import Explicit, check_branch, solved_for
 from casid.model.named_quantities import NamedQuantities
 from casid.model.quantities import count_text
@@ -105,8 +110,8 @@ class Model(NamedQuantities, Viewed):
         """State that inertia * d(rate)/dt = sum(terms); missing effects enter such balances.
 
         `unit` of the terms, any of their dimension, in which what acts there is shown; by default
-        that of a term that is a signal, else the SI unit that most terms and inertia times
-        d(rate)/dt have.
+        that of a term that is a signal, of an angle's rate with the inertia 1 its own unit over s,
+        else the SI unit that most terms and inertia times d(rate)/dt have.
         """
         state = self._state_name(rate)
         self._once(state)
@@ -116,6 +121,8 @@ class Model(NamedQuantities, Viewed):
         terms = tuple(ca.SX(t) for t in terms)
         si = self._balance_unit(state, ca.SX(inertia), terms) if unit is None else si_text(unit)
         shown = self._unit_of_signal(terms, si) if unit is None else unit
+        if unit is None and shown == si:
+            shown = rate_in_own_unit(self.unit_of(state), si)
         declared = "" if is_si(shown) else shown
         self.balances[name] = Balance(name, state, ca.SX(inertia), terms, si, declared)
         self._explicit = None

@@ -172,7 +172,24 @@ def test_a_derivative_alone_in_a_balance_has_no_unit_of_its_own():
     r, p = m.state("r", "deg/s"), m.state("p", "deg/s")
     m.balance(p, "roll", inertia=m.constant("I", 2.0, "1"), terms=[-p / m.constant("T", 1.0, "s")])
     m.balance(r, "yaw", inertia=m.constant("J", 3.0, "1"), terms=[m.der(p), -m.der(r)])
-    assert m.balances["yaw"].shown_unit == m.balances["yaw"].unit
+    assert m.balances["yaw"].shown_unit == "deg/s^2"
+
+
+@pytest.mark.parametrize(
+    ("unit", "inertia", "expected"),
+    [("deg/s", "1", "deg/s^2"), ("rpm", "1", "rpm/s"), ("rad/s", "1", ""), ("deg/s", "kg m^2", "")],
+)
+def test_an_angular_acceleration_is_shown_in_the_unit_of_its_rate(unit, inertia, expected):
+    """A torque is in N m, and what turns a rate in deg/s without an inertia in deg/s^2."""
+    m = Model("pitch")
+    q = m.state("q", unit)
+    J, T = m.constant("J", 1.0, inertia), m.constant("T", 1.0, "s")
+    m.balance(q, "moment", inertia=J, terms=[-J * q / T])
+    b = m.balances["moment"]
+    assert b.shown_unit == (expected or b.unit)
+    size, shown = shown_force(m, "moment", 2.0)
+    factor = {"deg/s^2": 180 / np.pi, "rpm/s": 30 / np.pi}.get(shown, 1.0)
+    assert size == pytest.approx(2.0 * factor)
 
 
 def test_a_balance_in_si_leaves_the_units_of_effects_as_they_were():

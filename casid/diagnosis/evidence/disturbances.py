@@ -23,7 +23,7 @@ from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.noise import NoiseModel, estimate_noise
 from casid.estimation.noise_floor import floor_error
-from casid.estimation.noise_response import name_of_force, unit_of_force
+from casid.estimation.noise_response import name_of_force, shown_force
 from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, difference_to_si, same_dimension
 
@@ -160,11 +160,8 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
         parts = found[where]
         sd = float(np.sqrt(sum(p[1] for p in parts)))
         peak, width = _peak(max(parts, key=lambda p: p[0])[2])
-        out.append(
-            Disturbance(
-                where, sd, unit_of_force(at.model, where), min(shares[where], 1.0), peak, width
-            )
-        )
+        size, unit = shown_force(at.model, where, sd)
+        out.append(Disturbance(where, size, unit, min(shares[where], 1.0), peak, width))
     return tuple(sorted(out, key=lambda d: -d.share))
 
 

@@ -128,6 +128,26 @@ def test_a_slow_disturbance_is_told_by_its_period_and_a_daily_one_as_such():
     assert "period" not in replace(sun, peak=0.1, bandwidth=0.01).sentence
 
 
+def test_a_disturbance_has_the_unit_of_its_balance_though_an_output_has_its_name():
+    """A balance and a sensor of CO2 may have one name: its flow is in L/h, not in ppm or m^3/s."""
+    m = casid.Model("room")
+    C, q = m.state("C", "ppm"), m.parameter("q", "m^3/h", start=100.0, lower=90.0, upper=110.0)
+    V = m.constant("V", 50.0, "m^3")
+    m.balance(C, "CO2", inertia=V, terms=[-q * C], unit="L/h")
+    m.output("CO2", C, "ppm")
+    rng = np.random.default_rng(2)
+    level, flow = np.zeros(800), 1e-6 * rng.normal(size=800)  # m^3/s, that is 3.6 L/h
+    for k in range(799):
+        keep = np.exp(-100 / 3600 * 60 / 50)
+        level[k + 1] = keep * level[k] + (1 - keep) * flow[k] * 36
+    shown = level + 1e-6 * rng.normal(size=800)
+    data = [casid.Experiment(casid.Record({"CO2": shown}, {"CO2": "1"}, Ts=60.0), {}, "r")]
+    fit = minimize_simulation_error(SimulationError(m, data, weights=np.ones(1)))
+    (found,) = disturbances_of(Weighing(data).estimated(fit), 0.01)
+    assert (found.where, found.unit) == ("CO2", "L/h")
+    assert found.std == pytest.approx(3.6, rel=0.2)
+
+
 def test_the_law_of_a_state_does_not_have_the_states_unit():
     """dw/dt = ... is called by its state, in rpm; a force in it is in rad/s^2."""
     wind = Disturbance("w", 0.13, "rad/s^2", 0.9)
