@@ -8,10 +8,14 @@ missing samples, what is free in the residual r is taken for what makes it small
 so that whitened residuals and sensitivities have the inner products of the samples that there are
 (Brockwell and Davis, Time Series: Theory and Methods, 2nd ed. 1991, section 12.3). The minimiser
 solves E' Gamma^-1 E z = -E' Gamma^-1 r, by conjugate gradients; the same system without what a
-record's ends and far neighbours give to it is banded, and comes next to the solution at once.
+record's ends and far neighbours give to it is banded, and comes next to the solution at once. Of
+few missing samples an orthonormal basis of W E is kept: what they could have given is the
+projection on it.
 """
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import numpy as np
 from scipy.fft import irfft
@@ -25,6 +29,8 @@ FARTHEST = 200
 """Samples between neighbours in the banded system, at most."""
 NEGLIGIBLE = 1e-4
 """Of Gamma^-1, relative to its diagonal: neighbours with less are far."""
+FEW = 1_000_000
+"""Numbers in the basis of what missing samples could have given, at most: 8 MB."""
 CONVERGED = 1e-5
 """Relative residual at which conjugate gradients end."""
 STEPS = 60
@@ -128,7 +134,19 @@ class PartialInnovations:
 
     def _lost(self, e: Array) -> Array:
         """The part of whitened columns that missing samples could have given, (N, n, m)."""
+        basis = self._basis
+        if basis is not None:
+            flat = e.reshape(len(basis), -1)
+            return np.asarray((basis @ (basis.T @ flat)).reshape(e.shape))
         return self.whole.whiten(self._spread(self._solved(self._at(self.whole.transposed(e)))))
+
+    @cached_property
+    def _basis(self) -> Array | None:
+        """(N n, missing) orthonormal basis of W E; None where it would be large."""
+        if self.used.size * len(self._places) > FEW:
+            return None
+        columns = self.whole.whiten(self._spread(np.eye(len(self._places))))
+        return np.asarray(np.linalg.qr(columns.reshape(self.used.size, -1))[0])
 
     def _at(self, columns: Array) -> Array:
         """E' times columns (N, n, m): (missing, m)."""

@@ -12,6 +12,7 @@ from scipy.fft import irfft
 
 import casid
 from casid.arrays import Array, BoolArray
+from casid.estimation import missing_samples
 from casid.estimation.errors_in_variables.removal import without_input_noise
 from casid.estimation.innovations import innovations_of
 from casid.estimation.missing_samples import (
@@ -59,10 +60,17 @@ def gaps(kind: str, N: int, ny: int, rng: np.random.Generator) -> BoolArray:
     return used
 
 
+@pytest.mark.parametrize("few", [0, missing_samples.FEW])
 @pytest.mark.parametrize("ny", [1, 2])
 @pytest.mark.parametrize("kind", ["a fifth at random", "bursts", "every fifth sample"])
-def test_whitened_columns_have_the_inner_products_of_what_there_is(kind: str, ny: int) -> None:
-    """a_o' Gamma_oo^-1 b_o, with the dense covariance of the samples that there are."""
+def test_whitened_columns_have_the_inner_products_of_what_there_is(
+    monkeypatch: pytest.MonkeyPatch, kind: str, ny: int, few: int
+) -> None:
+    """a_o' Gamma_oo^-1 b_o, with the dense covariance of the samples that there are.
+
+    By conjugate gradients, and by the projection that there is of few missing samples.
+    """
+    monkeypatch.setattr(missing_samples, "FEW", few)
     N, rng = 300, np.random.default_rng(5)
     omega = np.linspace(0.0, np.pi, 2049)
     S, used = spectrum(omega, ny), gaps(kind, 300, ny, rng)
@@ -78,8 +86,9 @@ def test_whitened_columns_have_the_inner_products_of_what_there_is(kind: str, ny
     assert partial.log_determinant(N) == pytest.approx(logs, abs=0.02 * N * ny)
 
 
-def test_a_column_of_a_simulation_that_all_but_diverges_is_whitened_to_no_number():
+def test_a_column_of_a_simulation_that_all_but_diverges_is_whitened_to_no_number(monkeypatch):
     """Its squares are beyond all numbers: a search takes that for a step that is too long."""
+    monkeypatch.setattr(missing_samples, "FEW", 0)
     N, rng = 300, np.random.default_rng(5)
     omega = np.linspace(0.0, np.pi, 2049)
     partial = PartialInnovations(
