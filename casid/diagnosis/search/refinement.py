@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from scipy.stats import norm
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
@@ -93,16 +92,10 @@ class Refinement:
         return simulation_errors(self.base, self.split, self.units)
 
     def significant(self, found: Adoption) -> Adoption:
-        """Without what later causes have made insignificant, last first.
-
-        As significant as a cause has to be when it is adopted, chosen among all that were tested: a
-        parameter that rises with a fan beside the drift of a sensor, say, which it stood in for.
-        """
+        """Without what later causes have left less significant than it had to be, last first."""
         kept, fit, refused = list(found.adopted), found.fit, []
         assert fit is not None
-        table = self.search.first_table
-        tested = max(len(table.tested) if table is not None else 1, 1)
-        least = max(float(norm.isf(self.search.alpha / (2 * tested))), ROUNDS.backward_wald)
+        least = max(self.search.distance_when_chosen, ROUNDS.backward_wald)
         for a in reversed(found.adopted):
             c = a.candidate
             first = c.names[0]

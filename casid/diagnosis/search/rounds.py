@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from scipy.stats import norm
 
 from casid.diagnosis.attempts import Attempts, reason_of
 from casid.diagnosis.evidence.cogging_periods import CoggingCandidate, cogging_candidates
@@ -77,6 +78,15 @@ class Search:
 
     def __post_init__(self) -> None:
         self.refitting = Refitting(self.weighing, attempts=self.attempts)
+
+    @property
+    def distance_when_chosen(self) -> float:
+        """Standard errors from its null that make one of all effects tested significant.
+
+        At the rate of false alarms, by Bonferroni's inequality.
+        """
+        tested = len(self.first_table.tested) if self.first_table is not None else 1
+        return float(norm.isf(self.alpha / (2 * max(tested, 1))))
 
     def with_disturbances(self) -> Search:
         """The search in which disturbances with spectra of their own count as noise."""
