@@ -138,7 +138,8 @@ def _swept_by(model: Model, balance: Balance) -> str | None:
     """A state that the rate moves among others, and that drives the balance in its turn.
 
     The angle of attack beside the pitch rate, alpha' = q + Z_a alpha: a moment in proportion to it
-    is the stiffness of the pitching motion.
+    is the stiffness of the pitching motion. The twist of a shaft is none, where it drives both of
+    the bodies that move it: its spring is between them.
     """
     v, states = model.symbol(balance.rate), ca.vertcat(*[model.symbol(n) for n in model.states])
     sides = dict(model._rates)
@@ -148,9 +149,20 @@ def _swept_by(model: Model, balance: Balance) -> str | None:
         if not stiffness.nnz() or any(ca.which_depends(stiffness, states)):
             continue
         slope = ca.jacobian(ca.SX(side), v)
-        if slope.nnz() and (is_zero(slope - 1) or is_zero(slope + 1)):
+        is_moved = slope.nnz() and (is_zero(slope - 1) or is_zero(slope + 1))
+        if is_moved and not _drives_another(model, name, side, balance):
             return name
     return None
+
+
+def _drives_another(model: Model, state: str, side: Expr, balance: Balance) -> bool:
+    """True if a second body moves a state, at the rate `side`, and is driven by it in its turn."""
+    moved_by = {s.name() for s in ca.symvar(ca.SX(side))}
+    return any(
+        ca.which_depends(ca.SX(b.total), model.symbol(state))[0]
+        for b in model.balances.values()
+        if b.rate in moved_by - {state, balance.rate}
+    )
 
 
 def is_zero(expression: Expr) -> bool:

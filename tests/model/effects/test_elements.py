@@ -263,3 +263,22 @@ def test_a_spring_is_tested_from_its_own_zero_and_from_where_the_machine_works()
     sizes = Sizes({"phi": 0.3, "p": 0.1}, {}, (0.0, 10.0), 0.1, Ts=0.01, ranges=ranges)
     found = [e for e in catalogue(m, sizes, {}) if e.kind == "cubic_stiffness"]
     assert {e.constants.get("about", 0.0) > 0 for e in found} == {True, False}
+
+
+def test_a_twist_between_two_bodies_is_a_position_of_neither_alone():
+    """Its spring acts on both; the angle of attack, which a lift of its own moves, is a pitch's."""
+    m = casid.Model("drive train")
+    w, g, twist = m.state("w", "rad/s"), m.state("g", "rad/s"), m.state("twist", "rad")
+    k, J = m.parameter("k", "N m/rad", start=10.0), m.constant("J", 1.0, "kg m^2")
+    m.derivative(twist, w - g)
+    m.balance(w, "rotor", inertia=J, terms=[-k * twist])
+    m.balance(g, "generator", inertia=J, terms=[k * twist])
+    assert balance_place(m, "rotor").position is None
+    assert balance_place(m, "generator").position is None
+
+    a = casid.Model("aircraft")
+    alpha, q = a.state("alpha", "rad"), a.state("q", "rad/s")
+    Z, M = a.parameter("Z", "1/s", start=1.0), a.parameter("M", "1/s^2", start=5.0)
+    a.balance(alpha, "lift", inertia=1, terms=[q, -Z * alpha])
+    a.balance(q, "pitch", inertia=1, terms=[-M * alpha])
+    assert balance_place(a, "pitch").position_name == "alpha"
