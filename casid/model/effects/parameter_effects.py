@@ -16,7 +16,7 @@ from casid.model.effects.names import FOR_A_WHILE
 from casid.model.effects.place import is_amount, is_mechanical, is_zero
 from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS, UNNAMED_EFFECTS
 from casid.model.model import Model
-from casid.model.units import unit_quotient
+from casid.model.units import declared_quotient, unit_quotient
 
 
 def jump_times(window: tuple[float, float], count: int = PARAMETER_JUMPS.times) -> list[float]:
@@ -144,6 +144,7 @@ def state_scheduled_parameter(
         priority=int(old.is_known),
         span=span,
         constants={"mean": size.mean, "power": float(power), "straight": float(is_straight)},
+        declared_units={p.name: _per(model, name, state, model.symbol_units[state], power)},
     )
 
 
@@ -351,4 +352,10 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
         span=span,
         priority=priority,
         constants={"mean": spread.mean},
+        declared_units={p.name: _per(model, name, channel, unit)},
     )
+
+
+def _per(model: Model, name: str, other: str, unit: str, power: int = 1) -> str:
+    """The declared unit of a parameter over that of a signal, or its SI `unit`: uH/A."""
+    return declared_quotient(model.unit_of(name), model.declared_units.get(other, unit), power)

@@ -413,3 +413,25 @@ def test_an_amount_that_helps_a_reaction_keeps_its_rate_finite():
     effect = inhibited_parameter(m, "k", "B", Motion(2.0, 1.0, 4.0, 2.0))
     assert effect.parameters[0].lower == pytest.approx(-0.5 / 4.0)
     assert effect.parameters[0].unit == "m^3/kg"
+
+
+def test_a_slope_is_shown_in_the_units_that_its_two_quantities_have():
+    """An inductance in uH falls by uH/A; breath in L/h with a flow in m^3/h is L/m^3, not 1."""
+    m = casid.Model("choke")
+    i, u = m.state("i", "A"), m.input("u", "V", known=True)
+    L, R = m.parameter("L", "uH", start=200.0, lower=1.0), m.parameter("R", "mohm", start=50.0)
+    m.balance(i, "choke", inertia=L, terms=[u, -R * i])
+    m.output("i", i, "A")
+    sizes = Motion(2.0, -1.0, 3.0, 1.5)
+    for power, unit in ((1, "uH/A"), (2, "uH/A^2")):
+        new, (name,) = state_scheduled_parameter(m, "L", "i", sizes, power).extended(m)
+        assert (new.unit_of(name), new.in_declared_units({name: 2e-6})) == (unit, {name: 2.0})
+
+    room = casid.Model("room")
+    C, flow = room.state("C", "ppm"), room.input("flow", "m^3/h", known=True)
+    g, V = room.parameter("g", "L/h", start=20.0), room.constant("V", 50.0, "m^3")
+    room.balance(C, "CO2", inertia=V, terms=[g, -flow * C])
+    spread = Spread(0.1, 0.05, 0.2)
+    new, (name,) = scheduled_parameter(room, "g", "flow", "m^3/s", spread).extended(room)
+    assert (new.unit_of(name), new.in_declared_units({name: 0.5})) == ("L/m^3", {name: 500.0})
+    assert new.parameters[name].unit == "1"
