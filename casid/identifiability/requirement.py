@@ -40,6 +40,9 @@ FAMILIES_LIMIT = 20.0
 """Seconds of computing that a refusal may spend on the identifiable combinations: three times
 what the ship's nine parameters of three experiments take on a slow machine."""
 
+STATES_TRIED = 4
+"""Initial values that a refusal tries, each of which takes the rank once more."""
+
 
 def require_identifiable(
     model: Model,
@@ -90,6 +93,13 @@ def require_identifiable(
     )
     symbols = _systems(model, experiments, free, own, zero_unknown_inputs, generic=True)
     text = _refusal(model, experiments, symbols, result)
+
+    def deficiency(of: Model) -> int:
+        systems = _systems(of, experiments, free, own, zero_unknown_inputs)
+        found = observability(systems, time_limit=TIME_LIMIT)
+        return result.deficiency if found.is_partial else found.deficiency
+
+    text += _by_initial_values(model, result, deficiency)
     raise IdentifiabilityError(text + (unnamed_cases(problem, experiments) if problem else ""))
 
 
@@ -191,6 +201,30 @@ def _refusal(
         f"{model.name}: rank {result.rank} of {result.unknowns} parameters and initial states, "
         f"whatever is recorded in {where}. "
         + " ".join(_sentence(g, fixing, found, point) for g in groups)
+    )
+
+
+def _by_initial_values(
+    model: Model, result: Observability, deficiency: Callable[[Model], int]
+) -> str:
+    """Which initial values make all parameters identifiable, each by itself, once it is known.
+
+    The charge of a battery, say, whose voltage is a polynomial of it.
+    """
+    enough = []
+    unknown = dict.fromkeys(n for n in result.points[0].unobservable() if n in model.states)
+    for name in list(unknown)[:STATES_TRIED]:
+        fixed, state = model.copy(), model.states[name]
+        fixed.states[name] = replace(state, initial=state.start or 1.0)  # zero may be special
+        try:
+            enough += [name] if deficiency(fixed) == 0 else []
+        except CasidError:
+            continue
+    if not enough:
+        return ""
+    return (
+        f" Or give the initial value of {' or '.join(enough)}, which no output determines either: "
+        f"m.state({enough[0]!r}, ..., initial=...); all parameters are identifiable then."
     )
 
 

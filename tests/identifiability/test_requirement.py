@@ -327,3 +327,28 @@ def test_process_noise_is_taken_at_its_mean_where_the_rest_is_told():
     noise = [White("y", 0.45), White("w", 0.7)]
     found = minimize_prediction_error(driven(gain=1.0), lag(), noise).estimate
     assert found.identifiability.structural == "all parameters (rank 3 of 3, a proof)"
+
+
+@pytest.mark.parametrize("given", [{}, {"initial": 90.0}])
+def test_a_refusal_names_the_initial_value_that_determines_the_rest(given):
+    """A cell's voltage is a parabola of its charge, and no output says from where it began."""
+    m = casid.Model("cell")
+    charge, drawn = m.state("charge", "%", **given), m.input("I", "A", known=True)
+    Q, R = m.constant("Q", 2.5, "A h"), m.parameter("R", "mohm", start=30.0)
+    E = [m.parameter(f"E_{i}", "V", start=1.0) for i in range(3)]
+    m.balance(charge, "cell", inertia=Q, terms=[-drawn])
+    m.output("U", E[0] + E[1] * charge + E[2] * charge**2 - R * drawn, "V")
+    record = casid.Record({"I": np.ones(50), "U": np.ones(50)}, {"I": "A", "U": "V"}, Ts=1.0)
+    runs = [casid.Experiment(record, {}, "run")]
+    if given:
+        assert require_identifiable(m, runs).startswith("all parameters")
+        return
+    with pytest.raises(IdentifiabilityError, match=r"m.state\('charge', ..., initial=...\)"):
+        require_identifiable(m, runs)
+
+
+def test_no_initial_value_is_named_that_determines_nothing():
+    """Two inertias move together from wherever they begin."""
+    with pytest.raises(IdentifiabilityError) as refused:
+        require_identifiable(two_inertias(), swing())
+    assert "initial value" not in str(refused.value)
