@@ -1004,12 +1004,6 @@ class Disturbed:
         "two, is not followed up",
         "analysis.fleet",
     )
-    share: float = _is(
-        0.6,
-        "of the gain that pays for an effect, below which no search is made: a step gains more "
-        "than that of what a refit does (nulls of the park 0.3 to 0.6, causes above 3)",
-        f"{TESTS}/search/test_disturbance_alone.py",
-    )
 
 
 @dataclass(frozen=True, slots=True)

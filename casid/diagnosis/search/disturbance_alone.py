@@ -69,7 +69,7 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
             passing=needed,
             under=noise,
         )
-        if gain > DISTURBED.share * needed:
+        if gain > needed:
             return None
     search.first_table = table
     return bare
