@@ -102,12 +102,13 @@ def test_a_drag_is_named_in_a_sea() -> None:
 def test_a_drag_stays_named_in_a_sea_of_which_more_can_be_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The excess over a sea is known no better than the sea, of 40 independent samples."""
+    """The excess over a sea is known no better than the sea: to 0.11, of 40 independent samples."""
     something = Remainder(1e-3, 0.02, left().unexplained)
     monkeypatch.setattr(judgement, "tested_remainder", lambda *_: something)
     found = casid.diagnose(hull(), record(3, drag=1.5), advise=False)
     assert found.causes[0].kind == "quadratic_damping"
-    assert found.fitted["noise_floor"] == pytest.approx(found.fitted["extended_rmse"], rel=0.11)
+    errors = found.fitted["extended_rmse"]
+    assert found.fitted["noise_floor"] == pytest.approx(errors, rel=3 * 0.11)
 
 
 @pytest.mark.slow
