@@ -15,13 +15,14 @@ from casid.diagnosis.search.alternatives import (
     laws_before_memory,
     leaders_of,
     near_ones,
+    on_common_samples,
     p_value,
     rivals_of,
     without_imitations,
 )
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import COMPARISON
-from casid.model.effects.balance_effects import cubic_damping, quadratic_damping
+from casid.model.effects.balance_effects import cubic_damping, extra_input, quadratic_damping
 from casid.model.effects.contact_effects import end_stop
 from casid.model.effects.effect import Effect
 from casid.model.effects.friction_effects import hysteresis
@@ -109,6 +110,43 @@ def test_what_explains_nearly_as_much_is_compared_again_where_misfit_passed_for_
     at: Any = SimpleNamespace(noise_absorbs_misfit=noise_absorbs_misfit)
     expected = (near,) if noise_absorbs_misfit else ()
     assert near_ones(at, best, [best, near, far]) == expected
+
+
+def as_fitted(effect: Effect, gain: float, left: float, late: int = 0, **more: float) -> Candidate:
+    """A candidate that leaves so much of each of 100 samples, of which it misses the first ones."""
+    used = np.arange(100)[:, None] >= late
+    criterion = SimpleNamespace(
+        data=[SimpleNamespace(used=used)],
+        columns=lambda *_: (np.where(used, np.sqrt(2 * left), 0.0), None),
+    )
+    fit: Any = SimpleNamespace(criterion=criterion, x=None)
+    return Candidate(effect, (), MODEL, fit, gain, 0.0, 0.0, **more)  # type: ignore[arg-type]
+
+
+WIND = extra_input(MODEL, "torque", "wind", "m/s")
+CALM: Any = SimpleNamespace(noise_absorbs_misfit=False, noise=SimpleNamespace(spectra={}))
+
+
+@pytest.mark.parametrize("worse", [-0.1, 0.1])
+def test_what_noise_of_the_inputs_alone_makes_worse_stays_a_rival(worse: float) -> None:
+    """Each fit gives it another share of its error: of what was measured it leaves less."""
+    best, other = as_fitted(LAW, 500.0, 1.0), as_fitted(JUMP, 480.0, 1.0 + worse)
+    assert 500.0 - 480.0 > COMPARISON.strong
+    rivals = [r.candidate for r in rivals_of(CALM, best, [best, other])]
+    assert rivals == ([other] if worse < 0.0 else [])
+
+
+def test_a_channel_that_foretells_a_noisy_input_is_no_rival_by_smaller_errors() -> None:
+    best, wind = as_fitted(LAW, 500.0, 1.0), as_fitted(WIND, 480.0, 0.9)
+    assert rivals_of(CALM, best, [best, wind]) == ()
+
+
+def test_a_late_sensor_is_compared_less_what_noise_of_the_inputs_gives_to_each() -> None:
+    """2 (J_best - J_late) on 95 samples of both, of which 10 and 20 are noise of the inputs."""
+    whole = as_fitted(WIND, 170.0, 1.0, of_inputs=10.0)
+    late = as_fitted(JUMP, 180.0, 1.1, late=5, of_inputs=20.0)
+    first, second = on_common_samples([whole, late])
+    assert (first.gain, second.gain) == (170.0, pytest.approx(170.0 - 2 * 9.5 + 2 * 10.0))
 
 
 @pytest.mark.slow

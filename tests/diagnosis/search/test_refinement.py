@@ -23,6 +23,7 @@ from casid.model.effects.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     deadzone,
+    extra_input,
     offset,
     quadratic_damping,
 )
@@ -65,6 +66,22 @@ def hardening(of: Refinement) -> Candidate:
     found = of.search.refitting.refit(of.start, cubic_stiffness(of.start.model, "torque"), 4.0)
     assert found is not None
     return found
+
+
+@pytest.mark.parametrize(("noise", "is_tried"), [(0.0, True), (0.02, False)])
+def test_a_channel_takes_no_cause_s_place_by_smaller_errors_beside_a_noisy_input(noise, is_tried):
+    """One that foretells the input (its reference) errs less by that alone."""
+    model, unused = roll_decay.decay_model(), None
+    drag, wind = (
+        Candidate(effect, (), model, unused, 100.0, 0.0, 9.0)
+        for effect in (
+            quadratic_damping(model, "torque"),
+            extra_input(model, "torque", "wind", "m/s"),
+        )
+    )
+    of = SimpleNamespace(start=SimpleNamespace(input_sd={"accel": noise}))
+    found = list(Refinement._rivals(of, [Adopted(drag, 1e-9, (Rival(wind, 1.0),))], 0))
+    assert found == ([wind] if is_tried else [])
 
 
 @pytest.mark.parametrize(("tested", "is_cause"), [(1, True), (60, False)])
