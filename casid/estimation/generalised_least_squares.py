@@ -222,7 +222,7 @@ def _why_worse(criterion: SimulationError, plain: Array, weighted: Array) -> str
     ratio = float(np.sqrt(np.max(squares[1] / np.maximum(squares[0], TINY))))
     if ratio <= WORSE:
         return ""
-    return f"weighted by its spectrum the simulation errs by {ratio:.2g} times as much"
+    return f"weighted by its spectrum the simulation errs by {ratio:.3g} times as much"
 
 
 def _why_not_the_same(

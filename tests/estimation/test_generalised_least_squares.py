@@ -76,7 +76,8 @@ def test_its_error_is_the_least_there_is_and_as_stated() -> None:
     """Over 60 draws, against the bound (X' Gamma^-1 X)^-1 of the true noise.
 
     A standard deviation of 60 draws is known to 9 %, three of them allowed; plain least squares has
-    (X'X)^-1 X' Gamma X (X'X)^-1, here more than twice the bound in g.
+    (X'X)^-1 X' Gamma X (X'X)^-1, here more than twice the bound in g. Of 460 draws one simulates
+    so much worse than least squares that it is not made: two of 60 come with a probability of 1 %.
     """
     X = regressors()
     impulse = lfilter([0.2], AR, np.eye(1, N)[0])
@@ -88,11 +89,14 @@ def test_its_error_is_the_least_there_is_and_as_stated() -> None:
     values, stated = [], []
     for seed in range(60):
         found = weighted_by_spectrum(plain_fit(record(seed)))
-        assert isinstance(found, SpectralWeights)
+        if isinstance(found, str):
+            assert "the simulation errs by" in found
+            continue
         names = found.fit.criterion.names
         order = [names.index(name) for name in ("b", "c", "g")]
         values.append(found.fit.x[order])
         stated.append(np.sqrt(np.diag(found.covariance(np.ones(3, dtype=bool))))[order])
+    assert len(values) >= 59
     error = np.sqrt(np.mean((np.array(values) - [1.2, 0.3, 0.5]) ** 2, axis=0))
     assert error == pytest.approx(least, rel=3 * 0.09)
     assert np.mean(stated, axis=0) == pytest.approx(least, rel=0.15)
