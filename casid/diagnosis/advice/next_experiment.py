@@ -284,16 +284,15 @@ def _sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Proposal])
         )
     best = able[0]
     shorter = best.is_clearer(now) or best.record_length <= PLANNING.shorter * now.record_length
+    length, same = record_length_text(best.record_length), record_length_text(now.record_length)
     if isfinite(now.record_length) and not shorter:
         return (
-            f"To separate {who}, repeat the same experiment for {_seconds(now.record_length)}: no "
+            f"To separate {who}, repeat the same experiment for {same}: no "
             "other experiment considered is clearly shorter."
         )
-    text = (
-        f"To separate {who}: {best.description}. About {_seconds(best.record_length)} would suffice"
-    )
+    text = f"To separate {who}: {best.description}. About {length} would suffice"
     if isfinite(now.record_length):
-        text += f", where the same experiment would need {_seconds(now.record_length)}"
+        text += f", where the same experiment would need {same}"
     if best.gain_factor > PLANNING.notable:
         size = best.gain_factor**-0.5  # the energy grows with its square
         smaller = f"causes {size:.2g} times as large" if size else "far smaller causes"
@@ -301,10 +300,10 @@ def _sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Proposal])
     return text + "."
 
 
-def _seconds(value: float) -> str:
+def record_length_text(value: float) -> str:
     """A length of time with two digits, in seconds to years."""
     if value < 120:
         return f"{value:.2g} s"
     longer = ((60.0, "min"), (3600.0, "h"), (86400.0, "days"), (31557600.0, "years"))
     scale, name = next((x for x in reversed(longer) if value >= 2 * x[0]), longer[0])
-    return f"{value / scale:.2g} {name}"
+    return f"{float(f'{value / scale:.2g}'):g} {name}"

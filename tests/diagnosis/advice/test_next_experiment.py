@@ -10,7 +10,12 @@ import pytest
 
 import casid
 from casid.diagnosis.advice.fitted_motion import FittedMotion
-from casid.diagnosis.advice.next_experiment import Suspect, next_experiment, predicted_table
+from casid.diagnosis.advice.next_experiment import (
+    Suspect,
+    next_experiment,
+    predicted_table,
+    record_length_text,
+)
 from casid.diagnosis.advice.planned_records import Planner
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.score_tests import score_test
@@ -25,6 +30,14 @@ from problems import pendulum, roll_decay
 from tests.support import truth
 
 NOISE = 0.01
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(37.4, "37 s"), (3.0e4, "8.3 h"), (5.53e7, "640 days"), (2e8, "6.3 years")],
+)
+def test_the_length_of_a_record_has_two_digits_and_no_exponent(seconds: float, text: str) -> None:
+    assert record_length_text(seconds) == text
 
 
 def weighed(problem: casid.Problem, hidden: truth.TruthRecord, known: dict) -> Weighted:
