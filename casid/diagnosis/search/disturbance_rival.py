@@ -244,8 +244,7 @@ def _charged(
     left = minus_log_likelihood(found.at, bare.criterion) if beside is None else beside
     gain = minus_log_likelihood(bare) - left
     effects = [a.candidate.effect for a in found.adopted]
-    tested = max(len(search.first_table.tested) if search.first_table is not None else 1, 1)
-    logs = len(effects) * math.log(tested)
+    logs = len(effects) * math.log(search.count_tested)
     logs += float(chi2.logsf(2 * max(gain, 0.0), sum(e.cost for e in effects)))
     p = math.exp(min(logs, 0.0))
     return replace(
@@ -266,10 +265,9 @@ def _charge(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
     A disturbance has parameters as well: its variance, and those of its spectrum. A band narrower
     than a record resolves would otherwise be preferred to the line that it is there.
     """
-    tested = len(search.first_table.tested) if search.first_table is not None else 0
     n = at.criterion.n_samples
     shapes = sum(2 + (s.damping is not None) for s in at.noise.spectra.values())
-    charged = sum(price_of(a.candidate.effect.cost, n, tested) for a in adopted)
+    charged = sum(price_of(a.candidate.effect.cost, n, search.count_tested) for a in adopted)
     return shapes * math.log(n) + charged
 
 

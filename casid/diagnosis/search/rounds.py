@@ -80,13 +80,17 @@ class Search:
         self.refitting = Refitting(self.weighing, attempts=self.attempts)
 
     @property
+    def count_tested(self) -> int:
+        """Effects that the first round tested; at least one."""
+        return max(len(self.first_table.tested), 1) if self.first_table is not None else 1
+
+    @property
     def distance_when_chosen(self) -> float:
         """Standard errors from its null that make one of all effects tested significant.
 
         At the rate of false alarms, by Bonferroni's inequality.
         """
-        tested = len(self.first_table.tested) if self.first_table is not None else 1
-        return float(norm.isf(self.alpha / (2 * max(tested, 1))))
+        return float(norm.isf(self.alpha / (2 * self.count_tested)))
 
     def with_disturbances(self) -> Search:
         """The search in which disturbances with spectra of their own count as noise."""
