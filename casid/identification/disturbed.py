@@ -131,7 +131,7 @@ def identify_disturbed(
         raise not_converged(problem.name, found.solution)
     else:
         undone.add("the end of the search")
-    return replace(
+    estimate = replace(
         estimate,
         problem=problem.name,
         method=f"{estimate.method}; disturbances in "
@@ -140,6 +140,7 @@ def identify_disturbed(
         warnings=(*estimate.warnings, *_doubts(found, program.model, disturbances)),
         model=_finished(estimate.model, problem, tuple(program.spread)),
     )
+    return estimate.in_units(program.model.declared_units)
 
 
 def _finished(

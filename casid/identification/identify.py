@@ -35,7 +35,7 @@ from casid.estimation.intervals.choice import (
     require_intervals,
     with_intervals,
 )
-from casid.estimation.prediction_error.disturbances import Disturbance, with_disturbances
+from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.input_feedback import feedback_notes
@@ -163,8 +163,7 @@ def identify(
                 budget=budget,
                 progress=say,
             )
-            model, _ = with_disturbances(problem.model, chosen_disturbances)
-            return _completed(estimate, model, structural)
+            return _completed(estimate, problem.model, structural)
         estimate, found = _estimate_of_fit(problem, split, settings, start, chosen, (say, undone))
         if estimate.is_converged:
             estimation = _estimation(problem, found, estimate, settings)
