@@ -77,9 +77,13 @@ def require_identifiable(
         With the parameters, their identifiable combinations, and the remedy.
     """
     say = progress or (lambda _: None)
+
+    def ranked(of: Model) -> Observability:
+        systems = _systems(of, experiments, free, own, zero_unknown_inputs)
+        return observability(systems, time_limit=TIME_LIMIT)
+
     try:
-        systems = _systems(model, experiments, free, own, zero_unknown_inputs)
-        result = observability(systems, time_limit=TIME_LIMIT)
+        result = ranked(model)
     except CasidError as error:
         return f"not decided: {error}"
     if result.is_partial:
@@ -93,13 +97,7 @@ def require_identifiable(
     )
     symbols = _systems(model, experiments, free, own, zero_unknown_inputs, generic=True)
     text = _refusal(model, experiments, symbols, result)
-
-    def deficiency(of: Model) -> int:
-        systems = _systems(of, experiments, free, own, zero_unknown_inputs)
-        found = observability(systems, time_limit=TIME_LIMIT)
-        return result.deficiency if found.is_partial else found.deficiency
-
-    text += _by_initial_values(model, result, deficiency)
+    text += _by_initial_values(model, result, ranked)
     raise IdentifiabilityError(text + (unnamed_cases(problem, experiments) if problem else ""))
 
 
@@ -205,7 +203,7 @@ def _refusal(
 
 
 def _by_initial_values(
-    model: Model, result: Observability, deficiency: Callable[[Model], int]
+    model: Model, result: Observability, ranked: Callable[[Model], Observability]
 ) -> str:
     """Which initial values make all parameters identifiable, each by itself, once it is known.
 
@@ -217,9 +215,11 @@ def _by_initial_values(
         fixed, state = model.copy(), model.states[name]
         fixed.states[name] = replace(state, initial=state.start or 1.0)  # zero may be special
         try:
-            enough += [name] if deficiency(fixed) == 0 else []
+            found = ranked(fixed)
         except CasidError:
             continue
+        if not found.is_partial and found.deficiency == 0:
+            enough.append(name)
     if not enough:
         return ""
     return (
