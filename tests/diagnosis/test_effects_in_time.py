@@ -41,18 +41,28 @@ def slide() -> casid.Problem:
     return casid.Problem("slide", model)
 
 
-def record(load: Array | float = 0.0, reading: Array | float = 0.0, seed: int = 0) -> casid.Record:
-    """Held forces, a load beside them (N,), and what the sensor adds to the position (N,)."""
+def record(
+    load: Array | float = 0.0,
+    reading: Array | float = 0.0,
+    seed: int = 0,
+    *,
+    share: Array | float = 1.0,
+    shown: Array | float = 1.0,
+) -> casid.Record:
+    """Held forces, of which a share (N,) acts, with a load beside them (N,).
+
+    The sensor shows a multiple of the position (N,), and what it adds to it (N,).
+    """
     rng = np.random.default_rng(seed)
     force = np.repeat(rng.uniform(-8, 8, N // 25), 25)
     A = np.array([[0.0, 1.0, 0.0], [-K / M, -D / M, 1.0 / M], [0.0, 0.0, 0.0]])
     step = expm(A * TS)
     x, y = np.zeros(3), np.empty(N)
-    for k, u in enumerate(force + np.broadcast_to(load, N)):
+    for k, u in enumerate(share * force + np.broadcast_to(load, N)):
         y[k] = x[0]
         x[2] = u
         x = step @ x
-    position = y + reading + SIGMA * rng.standard_normal(N)
+    position = shown * y + reading + SIGMA * rng.standard_normal(N)
     return casid.Record({"force": force, "position": position}, {"force": "N", "position": "m"}, TS)
 
 
@@ -97,6 +107,46 @@ def test_a_load_that_sets_in_is_a_constant_term_from_an_instant_on():
 def test_a_sensor_that_was_knocked_is_biased_from_an_instant_on():
     found = casid.diagnose(slide(), record(reading=2e-3 * (T >= 17.0)), advise=False)
     assert_knocked(found, 17.0)
+
+
+def assert_gain(found: casid.Diagnosis, channel: str, change: float, *instants: float) -> None:
+    """One cause, a gain that changes at an instant, and back at the second one of two."""
+    cause = only(found)
+    size, *times = cause.parameters
+    assert (cause.kind, cause.where) == ("sensor_scale", channel)
+    assert size.value == pytest.approx(change, abs=4 * size.std_error)
+    assert size.unit == "1"
+    assert [t.value for t in times] == pytest.approx(list(instants), abs=2 * TS)
+    assert cause.words.startswith(f"change of the gain of {channel}")
+    assert all(quantity in cause.sentence for quantity in ("the gain", channel, "changes"))
+
+
+FEW = """hold time_delay actuator_lag sensor_lag missing_mode scheduled_parameter unknown end_stop
+    periodic_disturbance quadratic_damping cubic_damping saturation outliers actuator_saturation
+    backlash deadzone stribeck_friction coulomb_friction asymmetric_friction cubic_stiffness
+    quadratic_stiffness rectified""".split()
+"""Kinds left out where the others are compared: what acts on the clock, and gains."""
+
+
+def test_an_actuator_that_loses_a_fifth_of_its_effect_has_another_gain_from_then_on():
+    """No parameter of the model is that gain: mass, damper and spring would have to jump alike."""
+    part = record(share=1 - 0.2 * (T >= 11.0)).between(0.0, 20.0)
+    found = casid.diagnose(slide(), part, advise=False, starts=1, without=FEW)
+    assert_gain(found, "force", -0.2, 11.0)
+
+
+@pytest.mark.slow
+def test_an_actuator_that_loses_its_effect_for_a_while_gets_it_back():
+    """Beside the whole catalogue: what it leaves has the spectrum of a random disturbance."""
+    lost = (T >= 12.0) & (T < 20.0)
+    found = casid.diagnose(slide(), record(share=1 - 0.2 * lost), advise=False)
+    assert_gain(found, "force", -0.2, 12.0, 20.0)
+
+
+@pytest.mark.slow
+def test_a_sensor_whose_scale_changes_shows_all_that_it_shows_larger_from_then_on():
+    found = casid.diagnose(slide(), record(shown=1 + 0.05 * (T >= 17.0)), advise=False)
+    assert_gain(found, "position", 0.05, 17.0)
 
 
 @pytest.mark.slow

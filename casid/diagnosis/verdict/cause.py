@@ -56,7 +56,7 @@ class Alternative:
         return plain_fields(self)
 
 
-_SHARES = ("scale", "saturated", "rate_limited")
+_SHARES = ("scale", "gain", "saturated", "rate_limited")
 """Begin the names of parameters of a channel that have no unit, whatever the channel has."""
 
 

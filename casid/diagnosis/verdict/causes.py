@@ -120,7 +120,7 @@ def _adopted(
     column = columns.get(effect.where)
     parameters = _parameters_of(adopted, estimate)
     sentence = says(effect, column.column if column is not None else "")
-    if effect.kind == "sensor_scale" and not effect.constants.get("about"):
+    if effect.kind == "sensor_scale" and not (effect.sets_in or effect.constants.get("about")):
         mistaken = unit_mistaken(parameters[0], _unit(found.search, effect.where))
         sentence += f", {mistaken}" if mistaken else ""
     if effect.shape == RATE:

@@ -19,6 +19,7 @@ from casid.model.effects.effect import Effect
 from casid.model.effects.names import (
     BESIDE_ITS_ZERO,
     FLOW,
+    GAIN_OF_INPUT,
     OVERFLOW,
     RATE,
     RATE_LIMIT,
@@ -110,6 +111,10 @@ _FORCES = ("force", "torque", "moment")
 """Balances that are called by what restores in them."""
 
 
+_STEADY = ("offset", "sensor_bias", "sensor_scale")
+"""Kinds that hold all the time, or from an instant on."""
+
+
 _OF_COMMANDS = {
     "backlash": "the command {where} acts through play (backlash)",
     "deadzone": "the command {where} acts only beyond a dead zone",
@@ -150,7 +155,7 @@ def _drift_time(effect: Effect) -> str:
 
 
 def _says_constant(effect: Effect) -> str:
-    """A constant term or a bias that has more to it than its kind, in words, or an empty text."""
+    """A constant term, bias or gain that has more to it than its kind, or an empty text."""
     if "stop" in effect.constants:
         return f"{effect.description} (its size is what it grows to {_drift_time(effect)})"
     if effect.description == BESIDE_ITS_ZERO:
@@ -181,7 +186,7 @@ def says(effect: Effect, column: str = "") -> str:
     if effect.end is not None:
         begun, over = (quantity_text(effect.constants[t], "s") for t in ("time", "end"))
         return f"{effect.description}, from {begun} to {over}"
-    if effect.kind in ("offset", "sensor_bias") and (text := _says_constant(effect)):
+    if effect.kind in _STEADY and (text := _says_constant(effect)):
         return text
     if effect.kind == "parameter_drift" and "stop" in effect.constants:
         change = f"its change is that {_drift_time(effect)}, its value the one in the middle"
@@ -238,6 +243,8 @@ def separates(kind: str, description: str = "") -> str:
         return "the command held at several values, with the actuator's own position recorded"
     if description == RATE_LIMIT:
         return "steps of the command of several sizes, with the actuator's own position recorded"
+    if description.startswith(GAIN_OF_INPUT):
+        return "the same input before and after, with what the actuator does recorded beside it"
     return _SEPARATES.get(kind, _SEPARATES["unknown"])
 
 
@@ -246,7 +253,7 @@ def why_alternative(best: Candidate, other: Candidate) -> str:
     gap = best.merit - other.merit
     by = f"{abs(gap):.1f}"
     as_one = f"as a {other.effect.shape}, " if other.effect.is_on_the_clock else ""
-    as_one = as_one if other.effect.kind in ("offset", "sensor_bias") else ""
+    as_one = as_one if other.effect.kind in _STEADY else ""
     if by == "0.0":
         return f"{as_one}explains the misfit equally well"
     word = "worse" if gap >= 0 else "better"

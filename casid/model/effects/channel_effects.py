@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 
@@ -220,9 +221,7 @@ def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
 
         def apply(new: Model, names: Sequence[str]) -> None:
             s = new.symbol(names[0])
-            new.substitute_symbol(channel, (new.symbol(channel) + s * point) / (1 + s))
-            for name in _carriers(new, channel):
-                new.substitute_symbol(name, new.symbol(name) / (1 + s))
+            scaled_input(new, channel, 1 / (1 + s), beside=s * point)
 
         priority = 2
     lower, upper = RANGES.lowest_scale, RANGES.highest_scale
@@ -230,6 +229,13 @@ def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
     constants = {"about": about} if about else {}
     priority += bool(about)
     return Effect("sensor_scale", channel, (p,), apply, priority=priority, constants=constants)
+
+
+def scaled_input(model: Model, channel: str, gain: Any, *, beside: Any = 0.0) -> None:
+    """Put gain (u + beside) in the place of an input u, and of what carries its tangents."""
+    model.substitute_symbol(channel, gain * (model.symbol(channel) + beside))
+    for name in _carriers(model, channel):
+        model.substitute_symbol(name, gain * model.symbol(name))
 
 
 def sensor_lag(model: Model, channel: str, longest: float) -> Effect:

@@ -1,4 +1,4 @@
-"""Constants that set in at an instant, or grow: a load taken on, a knocked or drifting sensor."""
+"""What sets in at an instant, or grows: a load taken on, a knocked or drifting sensor, a gain."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
+
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import offset
-from casid.model.effects.channel_effects import sensor_bias
+from casid.model.effects.channel_effects import scaled_input, sensor_bias, sensor_scale
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import FOR_A_WHILE
+from casid.model.effects.names import DURING_THE_RECORD, FOR_A_WHILE, GAIN_OF_INPUT
 from casid.model.effects.parameter_effects import (
     cost_of_instants,
     instants,
@@ -21,9 +23,10 @@ from casid.model.effects.parameter_effects import (
     since,
     step_at,
 )
+from casid.model.effects.place import is_zero
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
-from casid.model.units import unit_quotient
+from casid.model.units import same_dimension, unit_quotient
 
 STEP, KNOCK, DRIFT = "step", "knock", "drift"
 
@@ -92,18 +95,51 @@ def bias_drift(model: Model, channel: str, window: tuple[float, float]) -> Effec
     )
 
 
+def gain_step(model: Model, channel: str, time: float, end: float | None = None) -> Effect:
+    """A gain that changes at `time`, and back at `end` (s of the record's clock).
+
+    A sensor shows y (1 + scale) from then on. A recorded input u acts as u (1 + gain): an actuator
+    that loses a fifth of its effect has a gain of -0.2, and one that fails has -1.
+    """
+    if channel in model.outputs:
+        made = sensor_scale(model, channel)
+        what = f"the gain of the sensor of {channel}"
+    else:
+        made = _input_gain(model, channel)
+        what = f"{GAIN_OF_INPUT} {channel} acts"
+    when = DURING_THE_RECORD if end is None else FOR_A_WHILE
+    return replace(_set_in(made, time, end), description=f"{what} changes {when}")
+
+
+def _input_gain(model: Model, channel: str) -> Effect:
+    """A recorded input u that acts as u (1 + gain)."""
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        scaled_input(new, channel, 1 + new.symbol(names[0]))
+
+    p = Parameter(f"gain_{channel}", "1", 0.0)
+    return Effect("sensor_scale", channel, (p,), apply, priority=2)
+
+
 def at_instant(effect: Effect, model: Model, time: float, end: float | None = None) -> Effect:
     """The same as `effect`, which sets in at an instant, at another [s]; over at `end` [s]."""
     if effect.shape == KNOCK:
         return knock(model, effect.where, time, effect.constants["duration"])
-    made = {"parameter_jump": parameter_jump, "offset": offset_step, "sensor_bias": bias_step}
+    made = {
+        "parameter_jump": parameter_jump,
+        "offset": offset_step,
+        "sensor_bias": bias_step,
+        "sensor_scale": gain_step,
+    }
     return made[effect.kind](model, effect.where, time, end)
 
 
 def clock_effects_of(
     model: Model, window: tuple[float, float], events: Sequence[float] = ()
 ) -> Iterator[Effect]:
-    """Steps of forces and of biases, and drifts of biases, of outputs and measured inputs.
+    """Steps of forces, of biases and of gains, and drifts of biases.
+
+    Biases are those of outputs and measured inputs, gains those of outputs and recorded inputs.
 
     A knock is none of them: the search puts it in the place of a force that sets in.
 
@@ -120,6 +156,35 @@ def clock_effects_of(
     for channel in (*model.outputs, *measured):
         yield from (bias_step(model, channel, t) for t in biases)
         yield bias_drift(model, channel, window)
+    for channel in _channels_with_a_gain(model):
+        yield from (gain_step(model, channel, t) for t in forces)
+
+
+def _channels_with_a_gain(model: Model) -> list[str]:
+    """Outputs and recorded inputs whose gain is no parameter, which would jump itself.
+
+    A parameter p is the gain of an input u where all that depends on either does so by p u, and
+    that of an output where it multiplies nothing else. The zero of a temperature scale means
+    nothing to a gain.
+    """
+    recorded = [n for n, u in model.inputs.items() if u.kind in ("measured", "known")]
+    units = {n: unit for n, (_, unit) in model.outputs.items()}
+    units |= {n: model.inputs[n].unit for n in recorded}
+    of_scales = [n for n, unit in units.items() if not same_dimension(unit, "K")]
+    rows = [ca.SX(residual) for _, residual, _ in model.equations()]
+    sides = ca.vertcat(*rows, *(ca.SX(e) for e, _ in model.outputs.values()))
+    moved = {n: _in_proportion(sides, model.symbol(n)) for n in recorded}
+    for i, n in enumerate(model.outputs, len(rows)):
+        moved[n] = ca.SX.zeros(sides.shape)
+        moved[n][i] = sides[i]
+    jumping = [model.symbol(n) for n, p in model.parameters.items() if not p.is_constant]
+    of_gains = [_in_proportion(sides, p) for p in jumping]
+    return [n for n in of_scales if not any(is_zero(ca.sumsqr(moved[n] - g)) for g in of_gains)]
+
+
+def _in_proportion(sides: Any, symbol: Any) -> Any:
+    """How sides of equations (n,) move with a share of a symbol: p df/dp."""
+    return ca.jacobian(sides, symbol) * symbol
 
 
 def _set_in(effect: Effect, time: float, end: float | None) -> Effect:

@@ -41,6 +41,12 @@ _NAMES = {
 FOR_A_WHILE = "for a while"
 """How the descriptions end of changes that are over before the record is."""
 
+DURING_THE_RECORD = "during the record"
+"""How the descriptions end of changes of a gain that stay."""
+
+GAIN_OF_INPUT = "the gain by which the input"
+"""How the description begins of a gain that is no sensor's."""
+
 RATE = "rate"
 """Shape of the saturation of a command whose actuator moves at no more than a rate."""
 
@@ -60,7 +66,8 @@ BESIDE_ITS_ZERO = "acts beside its zero"
 ADVANCE = "an advance"
 """What a delay that is turned round is."""
 
-_FOR_A_WHILE = {"parameter_jump": "change of {where}"}
+_CHANGE_OF_GAIN = "change of the gain of {where}"
+_FOR_A_WHILE = {"parameter_jump": "change of {where}", "sensor_scale": _CHANGE_OF_GAIN}
 """What is over again is no jump."""
 
 _DEAD_TIME = "dead time of {where} (it acts late)"
@@ -115,6 +122,8 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     words = _NAMES[kind].format(place=place, where=at, own=own, source=source or "the state")
     if description.endswith(FOR_A_WHILE):
         return f"{_FOR_A_WHILE.get(kind, words).format(where=at)} {FOR_A_WHILE}"
+    if kind == "sensor_scale" and (variant or description.endswith(DURING_THE_RECORD)):
+        return _CHANGE_OF_GAIN.format(where=at)
     return f"{words} ({variant})" if variant else words
 
 

@@ -1,4 +1,4 @@
-"""Constants that set in or grow, and knocks, against what they are on the clock of a record."""
+"""What sets in, grows or knocks, against what it is on the clock of a record."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from casid.model.effects.clock_effects import (
     bias_drift,
     bias_step,
     clock_effects_of,
+    gain_step,
     knock,
     offset_step,
 )
+from casid.model.effects.effect import Effect
 from casid.model.effects.parameter_effects import parameter_jump
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 
@@ -22,6 +24,7 @@ Array = np.ndarray
 
 TS, N, MASS, AT = 0.1, 200, 2.0, 7.0
 T = TS * np.arange(N)
+UNITS = {"push": "N", "speed": "m/s"}
 
 
 def cart() -> casid.Model:
@@ -83,14 +86,74 @@ def test_a_bias_sets_in_at_its_instant_or_grows_from_nothing():
     assert drifting == pytest.approx(0.04 * T)
 
 
+def pushed(*, known: bool = True, gain: bool = False) -> casid.Model:
+    """The cart with a recorded push of 1 N, of which a parameter may say how much acts."""
+    m = cart()
+    push = m.input("push", "N", hold="zoh", known=known)
+    b = m.parameter("b", "1", start=1.0) if gain else 1.0
+    m.add_term("force", b * push)
+    return m
+
+
+def test_an_input_that_loses_a_fifth_of_its_effect_pushes_by_four_fifths_from_then_on():
+    for known in (True, False):
+        model = gain_step(pushed(known=known), "push", AT).extend(pushed(known=known))
+        record = casid.Record({"push": np.ones(N), "speed": np.zeros(N)}, UNITS, TS)
+        fixed = model.with_known(gain_push=-0.2)
+        criterion = SimulationError(fixed, [casid.Experiment(record, {}, "r")], weights=np.ones(1))
+        got = criterion.simulate(criterion.start, 0)[0][:, 0]
+        expected = np.minimum(T, AT) / MASS + 0.8 * np.maximum(T - AT, 0.0) / MASS
+        assert got == pytest.approx(expected, abs=0.2 * TS / MASS)
+
+
+def test_a_sensor_whose_gain_changes_shows_more_of_its_reading_and_no_constant():
+    moving = offset_step(cart(), "force", 0.0).extend(cart())
+    plain = speed(moving, F_0=1.0)
+    back = gain_step(moving, "speed", AT, AT + 5.0).extend(moving)
+    got = speed(back, F_0=1.0, scale_speed=0.1)
+    inside = (AT + TS < T) & (T < AT + 5.0 - TS)
+    outside = (AT - TS > T) | (AT + 5.0 + TS < T)
+    assert got[inside] == pytest.approx(1.1 * plain[inside])
+    assert got[outside] == pytest.approx(plain[outside])
+
+
+def test_a_gain_that_is_a_parameter_jumps_as_one():
+    """b u with another b and b u with another gain of u are one thing, and listed once."""
+    bare, own = (pushed(gain=gain) for gain in (False, True))
+    gains = [[e.where for e in clock_effects_of(m, (0.0, 20.0)) if is_gain(e)] for m in (bare, own)]
+    assert gains[0].count("push") == gains[0].count("speed") == PARAMETER_JUMPS.times
+    assert set(gains[1]) == {"speed"}
+
+
+def test_a_sensor_whose_gain_is_a_parameter_has_no_other():
+    m = cart()
+    c = m.parameter("c", "1", start=1.0)
+    m.replace_output("speed", c * m.symbol("v"), "m/s")
+    assert not any(is_gain(e) for e in clock_effects_of(m, (0.0, 20.0)))
+
+
+def test_the_gain_of_a_temperature_has_no_zero_to_change_about():
+    m = casid.Model("oven")
+    temperature, outside = m.state("T", "K"), m.input("outside", "K")
+    power = m.input("power", "W", known=True)
+    m.balance(temperature, "heat", inertia=1e3, terms=[power, -2.0 * (temperature - outside)])
+    m.output("thermometer", temperature, "K")
+    assert {e.where for e in clock_effects_of(m, (0.0, 20.0)) if is_gain(e)} == {"power"}
+
+
+def is_gain(effect: Effect) -> bool:
+    return effect.kind == "sensor_scale"
+
+
 @pytest.mark.parametrize(
     "effect",
     [
+        gain_step(cart(), "speed", AT),
         offset_step(cart(), "force", AT),
         bias_step(cart(), "speed", AT),
         knock(cart(), "force", AT, TS),
     ],
-    ids=["offset", "bias", "knock"],
+    ids=["gain", "offset", "bias", "knock"],
 )
 def test_the_same_effect_at_another_instant_is_itself_there(effect):
     moved = at_instant(effect, cart(), AT + 2.0)
@@ -110,7 +173,8 @@ def test_a_measured_input_may_get_a_bias_and_a_known_one_has_none():
     m = cart()
     push, command = m.input("push", "N"), m.input("command", "N", known=True)
     m.add_term("force", push + command)
-    found = [(e.where, e.shape) for e in clock_effects_of(m, (0.0, 20.0))]
+    every = clock_effects_of(m, (0.0, 20.0))
+    found = [(e.where, e.shape) for e in every if e.kind == "sensor_bias"]
     assert found.count(("push", "step")) == PARAMETER_JUMPS.times_of_biases
     assert found.count(("push", "drift")) == 1
     assert "command" not in dict(found)
