@@ -181,7 +181,7 @@ def next_experiment(
         )
     )
     words = [effect_words(*s.effect.key, description=s.effect.description) for s in suspects]
-    return Advice(keys, now, tuple(proposals), _sentence(words, now, proposals))
+    return Advice(keys, now, tuple(proposals), advice_sentence(words, now, proposals))
 
 
 def predicted_table(planned: Planned, at: Weighted, effects: Sequence[Effect]) -> ScoreTable:
@@ -274,14 +274,12 @@ class _Rule:
         return score.energy * (1.0 if s.effect.test == "clip" else s.size**2)
 
 
-def _sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Proposal]) -> str:
+def advice_sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Proposal]) -> str:
+    """The best proposal in words, or that none of those compared separates the tied causes."""
     who = f"{tied[0]} from {either_words(tied[1:])}"
     able = [p for p in proposals if isfinite(p.record_length)]
     if not able:
-        return (
-            f"No experiment considered separates {who}: their effects on the outputs are the "
-            "same in all of them. Determine one of them independently of these records."
-        )
+        return f"No experiment considered separates {who}{_why_none(tied, proposals)}"
     best = able[0]
     shorter = best.is_clearer(now) or best.record_length <= PLANNING.shorter * now.record_length
     length, same = record_length_text(best.record_length), record_length_text(now.record_length)
@@ -298,6 +296,26 @@ def _sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Proposal])
         smaller = f"causes {size:.2g} times as large" if size else "far smaller causes"
         text += f"; it would also separate {smaller}"
     return text + "."
+
+
+def _why_none(tied: Sequence[str], proposals: Sequence[Proposal]) -> str:
+    """What was compared where no experiment separates the tied causes, and what it says of them."""
+    remedy = "determine one of them independently of these records"
+    if not proposals:
+        return f": none could be predicted from the fitted model. To name the cause, {remedy}."
+    of_each = (
+        f"each of the {len(proposals)} that were" if len(proposals) > 1 else "the one that was"
+    )
+    pair = "two of them" if len(tied) > 2 else "the two"
+    is_alike = all(
+        isfinite(p.energy_needed) or not isfinite(separation_energy(p.cosine)) for p in proposals
+    )
+    how = "alike" if is_alike else "alike, or not at all,"
+    return (
+        f": in {of_each} predicted from the fitted model, small effects of {pair} change the "
+        f"outputs {how} once its parameters are fitted again. Larger effects or another experiment "
+        f"may separate them; else {remedy}."
+    )
 
 
 def record_length_text(value: float) -> str:

@@ -11,7 +11,9 @@ import pytest
 import casid
 from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.advice.next_experiment import (
+    Proposal,
     Suspect,
+    advice_sentence,
     next_experiment,
     predicted_table,
     record_length_text,
@@ -200,7 +202,31 @@ def test_two_names_of_one_thing_are_told_by_no_experiment(at):
     advice = next_experiment(pendulum.problem, at, [Suspect(one, 0.01), Suspect(other, 0.01)])
     assert all(p.record_length == np.inf for p in advice.proposals)
     assert "No experiment considered separates" in advice.sentence
+    compared = f"each of the {len(advice.proposals)} that were predicted from the fitted model"
+    assert compared in advice.sentence
+    assert "small effects of the two change the outputs alike once" in advice.sentence
+    assert "may separate them" in advice.sentence
     assert json.loads(json.dumps(advice.to_json()))["now"]["energy_needed"] is None
+
+
+@pytest.mark.parametrize(
+    ("cosines", "said"),
+    [
+        ([1.0, -1.0], "each of the 2 that were predicted from the fitted model, small effects of"),
+        ([1.0, 0.3], "change the outputs alike, or not at all, once"),
+        ([1.0], "the one that was predicted"),
+        ([], "none could be predicted from the fitted model"),
+    ],
+)
+def test_of_no_experiment_that_separates_causes_it_is_said_what_was_compared(cosines, said):
+    """At right angles two causes are separated, unless the parameters absorb one of them."""
+    pair = (("offset", "force"), ("sensor_bias", "x"))
+    now, *planned = (
+        Proposal("p", "do", pair, c, np.inf, np.inf, 1.0, 9.0) for c in [1.0, *cosines]
+    )
+    sentence = advice_sentence(["an offset", "a bias"], now, planned)
+    assert said in sentence
+    assert "the same in all" not in sentence
 
 
 def test_one_cause_alone_or_twice_is_refused(at):
