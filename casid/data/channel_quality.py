@@ -28,7 +28,8 @@ class ChannelCheck:
         Samples marked missing.
     noise : float
         Standard deviation of white noise with the spectral density found in the highest fifth of
-        the band; an upper limit where the signal reaches that far.
+        the band; an upper limit where the signal reaches that far. None of a held channel, which
+        rests at a level and leaps to the next, as a command does: no sensor's noise shows there.
     step : float
         Quantisation step.
     longest_run : int
@@ -69,6 +70,9 @@ class ChannelCheck:
 
 FEW_LEVELS = 10
 """Different readings, at most, of a channel that may be a command."""
+HELD = 3
+"""Equal samples in a row, of nine levels in ten at least, of a channel that is held; a heuristic:
+readings with noise repeat by chance, on a coarse grid, and not so often."""
 _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
@@ -138,6 +142,8 @@ def channel_quality(
     drift, trend = _trend(record, name, shown)
     findings += trend
     noise, bandwidth, reaches = _noise_and_band(record, name, own)
+    if _is_held(x[own], step):
+        noise = None
     if step is not None and step > (high - low) / 200:
         findings += _quantised(name, shown, kept, step, noise or 0.0)
     if reaches and not few:
@@ -201,6 +207,27 @@ def _equal_samples(
     return run, plateau, findings
 
 
+def _is_held(x: FloatArray, step: float | None) -> bool:
+    """True of samples that repeat exactly until the next leap, as held commands do.
+
+    A reading on a grid that is coarser than the noise repeats too, and moves by single steps.
+    """
+    leaps = np.flatnonzero(np.diff(x))
+    lengths = np.diff(np.concatenate(([-1], leaps, [x.size - 1])))
+    if not leaps.size or np.mean(lengths >= HELD) < 0.9:
+        return False
+    levels = np.unique(x).size
+    is_rounded = step is not None and levels >= 4 and _moves_by_single_steps(x, step)
+    return not is_rounded
+
+
+def _moves_by_single_steps(x: FloatArray, step: float) -> bool:
+    """True where nine changes in ten go to the next level of a grid."""
+    moves = np.abs(np.round(np.diff(x) / step))
+    moves = moves[moves > 0]
+    return bool(moves.size) and float(np.mean(moves == 1)) >= 0.9
+
+
 def _wide_band(name: str) -> Finding:
     return Finding(
         "note",
@@ -221,9 +248,8 @@ def _quantised(name: str, shown: str, kept: FloatArray, step: float, noise: floa
     if levels > FEW_LEVELS:
         text = f"coarsely quantised: {steps}, {many}"
         return [Finding("warning", name, text, f"Count {count}")] if step >= noise else []
-    moves = np.abs(np.round(np.diff(kept) / step))
-    moves = moves[moves > 0]
-    if levels < 4 or moves.size < 2 * levels or np.mean(moves == 1) < 0.9:
+    moves = np.count_nonzero(np.abs(np.diff(kept)) > 0.5 * step)
+    if levels < 4 or moves < 2 * levels or not _moves_by_single_steps(kept, step):
         return []
     remedy = f"Right for a command; of a sensor count {count}"
     return [Finding("note", name, f"moves by single {steps}, {many}", remedy)]

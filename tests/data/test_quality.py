@@ -51,6 +51,31 @@ def test_the_noise_floor_is_the_standard_deviation_of_white_noise():
     assert y.noise == pytest.approx(0.02, rel=0.1)
 
 
+@pytest.mark.parametrize("levels", [2, 3, 8, 1000])
+def test_a_command_that_rests_at_levels_has_no_noise(levels: int):
+    """What its spectrum has at high frequencies are the leaps, here of one every half second."""
+    rng = np.random.default_rng(4)
+    command = np.repeat(rng.integers(0, levels, N // 50 + 1), 50)[:N] * 0.7
+    y, u = check(record(smooth(), u=command)).channels
+    assert u.noise is None
+    assert y.noise == pytest.approx(0.01, rel=0.1)
+    assert json.loads(json.dumps(check(record(command)).to_json()))["channels"][0]["noise"] is None
+
+
+def test_a_rounded_reading_repeats_and_has_noise_nevertheless():
+    """A slow temperature on a grid of 0.1: its noise dithers among neighbouring levels."""
+    rng = np.random.default_rng(5)
+    slow = np.sin(0.2 * TIME) + 0.01 * rng.standard_normal(N)
+    assert check(record(0.1 * np.round(slow / 0.1))).channels[0].noise is not None
+    resting = 0.1 * np.round((0.045 + 0.003 * rng.standard_normal(N)) / 0.1)
+    assert np.unique(resting).size == 2
+    assert check(record(resting)).channels[0].noise is not None
+
+
+def test_a_smooth_command_that_is_never_held_keeps_its_noise():
+    assert check(record(np.round(smooth(), 12))).channels[0].noise is not None
+
+
 def test_the_bandwidth_is_where_the_signal_sinks_into_the_noise():
     wave = np.sin(2 * np.pi * 7.0 * TIME) + 0.01 * np.random.default_rng(3).standard_normal(N)
     (y,) = check(record(wave)).channels
