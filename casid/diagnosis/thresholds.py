@@ -777,6 +777,12 @@ class Shortlist:
         "of any other",
         f"{TESTS}/search/test_shortlist.py",
     )
+    gains: int = _is(
+        2,
+        "gains of channels that change, beside jumps and changes that are over again: a push of an "
+        "input for an instant is a gain of it as well, and crowds out no force",
+        f"{TESTS}/search/test_temporary_changes.py",
+    )
     passing: int = _is(
         4,
         "changes that are over again beside them, as many as of jumps: a sensor's bias for a while "

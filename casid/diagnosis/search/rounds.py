@@ -288,10 +288,16 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         sorted(visible, key=lambda s: -s.unrobust),
     ):
         keys = list(dict.fromkeys(s.effect.key for s in order))
-        timed = [key for key in keys if strongest[key].effect.is_on_the_clock]
+        gains = [key for key in keys if strongest[key].effect.is_new_gain]
+        timed = [
+            key
+            for key in keys
+            if strongest[key].effect.is_on_the_clock and not strongest[key].effect.is_new_gain
+        ]
         unnamed = [key for key in keys if key[0] == "unknown"]
-        lasting = [key for key in keys if key not in timed and key not in unnamed]
-        for key in (*lasting[:most], *timed[: SHORTLIST.timed], *unnamed[: SHORTLIST.unnamed]):
+        lasting = [key for key in keys if key not in (*timed, *gains, *unnamed)]
+        changes = (*timed[: SHORTLIST.timed], *gains[: SHORTLIST.gains])
+        for key in (*lasting[:most], *changes, *unnamed[: SHORTLIST.unnamed]):
             chosen.setdefault(key, strongest[key])
     return [*chosen.values(), *_other_falls(visible, chosen)] if is_far else list(chosen.values())
 

@@ -40,7 +40,9 @@ def temporary_changes(at: Weighted, table: ScoreTable) -> list[Score]:
         if best is not None and best.unrobust > max(alone + more, least):
             found.append(best)
     found.sort(key=lambda s: -s.unrobust)
-    return found[: SHORTLIST.passing]
+    gains = [s for s in found if s.effect.is_new_gain][: SHORTLIST.gains]
+    others = [s for s in found if not s.effect.is_new_gain][: SHORTLIST.passing]
+    return sorted([*others, *gains], key=lambda s: -s.unrobust)
 
 
 def _best_pair(at: Weighted, table: ScoreTable, places: list[int]) -> Score | None:

@@ -125,6 +125,11 @@ class Effect:
         return "time" in self.constants
 
     @property
+    def is_new_gain(self) -> bool:
+        """True of a gain of a channel that changes at an instant."""
+        return self.kind == "sensor_scale" and self.sets_in
+
+    @property
     def end(self) -> float | None:
         """The instant [s] at which what set in is over, None where it stays."""
         return self.constants.get("end")

@@ -13,7 +13,7 @@ from casid.diagnosis.evidence.score_tests import Family, Score, ScoreTable
 from casid.diagnosis.search import temporary_changes as temporary
 from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import SHORTLIST
-from casid.model.effects.clock_effects import bias_step, offset_step
+from casid.model.effects.clock_effects import bias_step, gain_step, offset_step
 from casid.model.effects.effect import Effect
 from casid.model.effects.parameter_effects import parameter_jump
 
@@ -147,3 +147,23 @@ def test_few_changes_for_a_while_are_refitted(monkeypatch: pytest.MonkeyPatch):
     signatures = np.hstack([steps, 0.9 * steps, 0.8 * steps])
     found = temporary_changes(of_samples(n), table_of(every, signatures, residual))  # type: ignore
     assert len(found) == 2
+
+
+def test_gains_of_channels_crowd_out_no_force():
+    """A knock for an instant is a gain of every input that moves then, and a force."""
+    n, times = 700, [100.0 * k for k in range(1, 7)]
+    steps = np.array([np.arange(n) >= t for t in times], dtype=float).T
+    steps -= steps.mean(axis=0)
+    residual = 2.0 * (steps[:, 2] - steps[:, 4])
+    m = casid.Model("store")
+    h, inputs = m.state("h", "m"), [m.input(f"q_{i}", "m/s") for i in range(6)]
+    m.balance(h, "volume", inertia=1, terms=inputs, unit="m/s")
+    m.output("level", h, "m")
+    gains = [gain_step(m, f"q_{i}", t) for i in range(6) for t in times]
+    force = [offset_step(m, "volume", t) for t in times]
+    signatures = np.hstack([*[steps] * 6, 0.5 * steps])
+    at = SimpleNamespace(model=m, criterion=SimpleNamespace(n_samples=n))
+    found = temporary_changes(at, table_of([*gains, *force], signatures, residual))  # type: ignore
+    kinds = [s.effect.kind for s in found]
+    assert kinds.count("sensor_scale") == SHORTLIST.gains
+    assert "offset" in kinds
