@@ -146,13 +146,12 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         split = negated_split(split, negated.channel)
     if fit is None or negated is not None:
         fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
-    split, moved = with_steps_in_gaps(fit, split)
-    if moved:
-        say(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
-        fit = _again(problem, split, settings, fit)
+    split, fit = _stepped(problem, split, settings, fit)
     split, fit, gaps = _levelled(problem, split, settings, fit)
     split, fit, sized = _sized(problem, split, settings, fit)
     corrupted, split, fit, less = _cleaned(problem, split, settings, fit)
+    if corrupted.count:  # what a faulty sensor had bent the fit by, steps were placed against
+        split, fit = _stepped(problem, split, settings, fit)
     fit = weighted_by_errors(fit, settings.fit)
     channels, notes = channels_held_out_too(varying_channels(problem, split.fitted), split.apart)
     weighing = Weighing(
@@ -210,6 +209,17 @@ def _sized(
     split, fit, names = fitted_in_sizes(fit, split, problem.noise, again)
     average = ", and RMS errors are those of samples with noise of average size"
     return split, fit, sized_noise_text(names) + average if names else ""
+
+
+def _stepped(
+    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
+) -> tuple[Split, Fit]:
+    """The records with steps of held inputs placed in gaps, and their fit."""
+    split, moved = with_steps_in_gaps(fit, split)
+    if not moved:
+        return split, fit
+    settings.progress(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
+    return split, _again(problem, split, settings, fit)
 
 
 def _levelled(
