@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from shlex import quote
 
 import casadi as ca
 import numpy as np
@@ -175,8 +176,8 @@ def fed_back(model: Model, disturbances: Sequence[Disturbance]) -> list[str]:
                     f"input {using} responds directly to what acts in {d.place}, and feeds it "
                     "back: values may be biased by many standard errors. Estimate the model from "
                     f"which {unknown} is not eliminated, where {using} is an output and {unknown} "
-                    f"a disturbance, too (--disturbance {d.place}:{d.spectrum} --disturbance "
-                    f"{unknown}:first)"
+                    f"a disturbance, too (--disturbance {quote(f'{d.place}:{d.spectrum}')} "
+                    f"--disturbance {unknown}:first)"
                 )
     return out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from shlex import quote
 
 from casid.data.problem import Problem
 from casid.diagnosis.advice.isolability import Isolability, isolability
@@ -284,7 +285,7 @@ def _disturbance_advice(model: Model, d: Disturbance) -> str:
     )
     if d.where not in model.balances:
         return text
-    how = f"casid identify --disturbance {d.where}:{d.spectral_form}"
+    how = f"casid identify --disturbance {quote(f'{d.where}:{d.spectral_form}')}"
     return f"{text} What is truly random is estimated with them by {how}."
 
 
