@@ -284,9 +284,14 @@ class _Root:
         return ""
 
     def _is_finite(self) -> bool:
-        """Whether the model simulates every record here, with its sensitivities."""
+        """Whether the model simulates every record here, with its sensitivities.
+
+        By their fourth powers: noise is found by its variances, which have variances themselves.
+        """
         runs = [self.criterion.simulated(self.x, e) for e in range(len(self.criterion.data))]
-        return all(bool(np.all(np.isfinite(run.jacobian))) for run in runs)
+        with np.errstate(over="ignore"):
+            powers = [part**4 for run in runs for part in (run.residual, run.jacobian)]
+        return all(bool(np.all(np.isfinite(power))) for power in powers)
 
     def _evaluate(self) -> None:
         sd = self.found.sd
