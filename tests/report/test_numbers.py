@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from casid.diagnosis.verdict.cause import Cause
 from casid.estimation.estimate import Estimated
 from casid.report.numbers import in_readable_unit
 from casid.report.pages.cause_parts import cause_part
+from casid.report.pages.estimate_parts import parameter_table
 from casid.report.texts.diagnosis import _cause
 
 
@@ -49,3 +52,12 @@ def test_an_instant_and_what_is_no_time_keep_their_units():
     mass = Estimated("m", 1e5, "kg", std_error=1.0)
     assert in_readable_unit(instant) is instant
     assert in_readable_unit(mass) is mass
+
+
+def test_a_table_of_estimates_has_the_times_of_its_causes_in_the_same_unit():
+    """The delay of a blood sample is 28.4 min where its cause stands, and not 1702 s here."""
+    delay = Estimated("delay", 1702.0, "s", std_error=40.0, start=600.0)
+    e = SimpleNamespace(names=("delay",), parameters=(delay,), initial_states=())
+    (row,) = parameter_table({"model": e}).rows  # type: ignore[dict-item]
+    assert list(row[:5]) == ["delay", "min", "28.37", "0.67", "27.06 .. 29.67"]
+    assert "10" in row  # where it started

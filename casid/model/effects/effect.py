@@ -193,11 +193,14 @@ class Effect:
         """The unit that a parameter is shown in: its own, or that of what it changes.
 
         A change of a temperature has no zero of its own; what declares degC for itself is a level.
+        A time is shown as the model's own times are, where these have one unit.
         A delay or lag of a pulse width in microseconds is a time, and no change of that width.
         """
         if self.is_switched and p is self.parameters[0]:
             return None  # a share, also where the channel has per cent
         own = self.declared_units.get(p.name)
+        if own is None and p.unit == "s":
+            return _time_unit(model)
         unit = own or (None if self.kind in LATE else model.declared_units.get(self.where))
         if unit is None or is_si(unit) or si_unit(unit) != p.unit:
             return None if own or self.kind in LATE else self._unit_in_balance(model, p)
@@ -276,6 +279,13 @@ class Motion:
     def operating_point(self) -> float:
         """Where nonlinear terms are expanded: zero, or the mean of what stays away from zero."""
         return self.mean if self.is_signed else 0.0
+
+
+def _time_unit(model: Model) -> str | None:
+    """The unit that all times among a model's parameters declare, where it is one and not s."""
+    times = {model.declared_units.get(n, "s") for n, p in model.parameters.items() if p.unit == "s"}
+    unit = times.pop() if len(times) == 1 else "s"
+    return None if is_si(unit) else unit
 
 
 def is_one_sided(low: float, high: float) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from casid.estimation.estimate import Estimate
 from casid.report.document import Bullets, Code, Part, Section, Strong, Table, mapping_table
-from casid.report.numbers import estimated_texts, number_text
+from casid.report.numbers import estimated_texts, in_readable_unit, number_text
 from casid.report.verdicts import status_words
 
 
@@ -34,7 +34,8 @@ def parameter_table(estimates: Mapping[str, Estimate], shown: Sequence[str] | No
     rows = []
     for name in names:
         here = [found[label].get(name) for label in estimates]
-        any_one = next(p for p in here if p is not None)
+        any_one = in_readable_unit(next(p for p in here if p is not None))
+        here = [p if p is None else p.in_unit(any_one.unit) for p in here]
         cells = [name, any_one.unit]
         for p in here:
             cells += ["\u2013"] * 3 if p is None else list(estimated_texts(p))

@@ -27,6 +27,7 @@ from casid.model.effects.parameter_effects import (
     scheduled_parameter,
 )
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
+from casid.model.effects.structure_effects import actuator_lag
 from problems import pendulum
 
 SIZES = Sizes(
@@ -308,3 +309,20 @@ def test_a_channel_that_may_act_in_two_balances_is_two_candidates():
     assert [e.key for e in sun] == [("extra_input", "sun: room"), ("extra_input", "sun: hall")]
     assert says(sun[1]).endswith("the model omits, acts in the hall balance")
     assert {e.where for e in sun} == {"sun"}
+
+
+@pytest.mark.parametrize(
+    ("units", "shown"),
+    [(("ms",), "ms"), (("h", "h"), "h"), (("s",), None), (("ms", "h"), None), ((), None)],
+)
+def test_a_delay_is_shown_in_the_unit_that_all_times_of_the_model_have(units, shown):
+    m = casid.Model("store")
+    x, u = m.state("x", "V"), m.input("u", "V", known=True)
+    for i, unit in enumerate(units):
+        m.parameter(f"tau_{i}", unit, start=3.0)
+    tau = m.symbol("tau_0") if units else 3.0
+    m.derivative(x, (u - x) / tau)
+    m.output("y", x, "mV")
+    for effect in (time_delay(m, "y", 1.0), time_delay(m, "u", 1.0), actuator_lag(m, "u", 1.0)):
+        new, (name,) = effect.extended(m)
+        assert new.declared_units.get(name) == shown
