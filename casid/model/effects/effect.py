@@ -199,9 +199,9 @@ class Effect:
         if self.is_switched and p is self.parameters[0]:
             return None  # a share, also where the channel has per cent
         own = self.declared_units.get(p.name)
-        if own is None and p.unit == "s":
-            return _time_unit(model)
         unit = own or (None if self.kind in LATE else model.declared_units.get(self.where))
+        if p.unit == "s" and (unit is None or si_unit(unit) != "s"):
+            return _time_unit(model)
         if unit is None or is_si(unit) or si_unit(unit) != p.unit:
             return None if own or self.kind in LATE else self._unit_in_balance(model, p)
         return unit if own or not parse_unit(unit).offset else None
