@@ -555,3 +555,33 @@ def test_a_slow_clock_changes_the_unit_of_time_alone():
         for name, by in zip(names, (1.0, 1.0, 1 / factor), strict=True):
             p, q = fast.parameter(name), slow.parameter(name)
             assert q.value == pytest.approx(by * p.value, abs=1e-2 * by * p.std_error)
+
+
+def test_a_gust_that_lifts_and_pitches_is_one_disturbance():
+    """d(alpha)/dt = q - 1.5 (alpha + w), dq/dt = -6 (alpha + w) - 2 q - 8 e, w of 0.5 s memory."""
+    m = casid.Model("glider")
+    alpha, q = m.state("alpha", "rad"), m.state("q", "rad/s")
+    e, w = m.input("e", "rad", hold="zoh", known=True), m.unknown_input("gust", "rad")
+    true = {"Z": (1.5, "1/s"), "M": (6.0, "1/s^2"), "D": (2.0, "1/s"), "E": (8.0, "1/s^2")}
+    Z, M, D, E = (m.parameter(n, u, start=0.7 * v, lower=0.0) for n, (v, u) in true.items())
+    m.balance(alpha, "lift", inertia=1, terms=[q, -Z * (alpha + w)], unit="rad/s")
+    m.balance(q, "pitch", inertia=1, terms=[-M * (alpha + w), -D * q, -E * e], unit="rad/s^2")
+    m.output("vane", alpha, "rad")
+    m.output("gyro", q, "rad/s")
+    Ts, N, memory, fine = 0.02, 1500, 0.5, 4
+    rows = [[-1.5, 1, 0, -1.5], [-6.0, -2, -8, -6], [0, 0, 0, 0], [0, 0, 0, -1 / memory]]
+    step, rng = expm(np.array(rows) * Ts / fine), np.random.default_rng(0)
+    elevator, z, y = np.repeat(rng.uniform(-0.05, 0.05, N // 50), 50), np.zeros(4), np.empty((N, 2))
+    kick = 0.005 * np.sqrt(1 - np.exp(-2 * Ts / fine / memory))
+    for i in range(N):
+        z[2], y[i] = elevator[i], z[:2]
+        for _ in range(fine):
+            z = step @ z + [0, 0, 0, kick * rng.standard_normal()]
+    y += [2e-4, 2e-3] * rng.standard_normal((N, 2))
+    columns = {"e": elevator, "vane": y[:, 0], "gyro": y[:, 1]}
+    record = casid.Record(columns, {"e": "rad", "vane": "rad", "gyro": "rad/s"}, Ts)
+    found = identify(casid.Problem("glider", m), record, disturbances="gust:first")
+    for name, (value, _) in true.items():
+        p = found.parameter(name)
+        assert p.value == pytest.approx(value, abs=4 * p.std_error)
+        assert p.std_error < 0.05 * value
