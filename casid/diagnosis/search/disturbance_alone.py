@@ -11,6 +11,7 @@ say little.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
@@ -25,6 +26,7 @@ from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import DISTURBED, RESTARTS
+from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 from casid.model.effects.periodic import sinusoid
@@ -50,29 +52,63 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
     table = beside.table(bare, [])
     if table.smallest is not None and table.smallest.adjusted < search.alpha:
         return None
+    if pays_beside(search, bare, table):
+        return None
     alone = search.table(start, [])
-    at = replace(bare, fit=bare.unbiased or bare.fit)
-    plain = replace(at.fit, criterion=unwhitened(at))
-    for effects, cost, noise in (
-        (_best(bare, table), 1, bare.noise),
-        (_best(start, alone), 1, start.noise),
-        (_over_again(start, alone), PARAMETER_JUMPS.cost_of_two, start.noise),
-        (_lines(start, alone), PERIODIC_FORCES.cost, start.noise),
+    for effects, cost in (
+        (_best(start, alone), 1),
+        (_over_again(start, alone), PARAMETER_JUMPS.cost_of_two),
+        (_lines(start, alone), PERIODIC_FORCES.cost),
     ):
-        needed = 0.5 * price_of(cost, start.criterion.n_samples, len(alone.tested))
-        columns = extended_columns(plain, effects)
-        gain = gain_beside(
-            at,
-            columns,
-            range(len(columns.effects)),
-            known=search.weighing.known_noise,
-            passing=needed,
-            under=noise,
-        )
-        if gain > needed:
+        if _one_pays(search, bare, effects, cost, len(alone.tested), start.noise):
             return None
     search.first_table = table
     return bare
+
+
+def pays_beside(search: Search, at: Weighted, table: ScoreTable) -> bool:
+    """True if one of the effects that score best beside a disturbance pays for itself there.
+
+    Its score, robust to what a disturbance leaves of misfit, knows a change at an instant, or with
+    few steps of an input, by few independent samples: the likelihood, in which the disturbance is
+    estimated again, knows it by all of them.
+
+    Parameters
+    ----------
+    at, table : a model under a disturbance, and its scores there.
+    """
+    return _one_pays(search, at, _best(at, table), 1, len(table.tested), at.noise)
+
+
+def _one_pays(
+    search: Search,
+    bare: Weighted,
+    effects: Sequence[Effect],
+    cost: int,
+    tested: int,
+    under: NoiseModel,
+) -> bool:
+    """True if an effect raises the likelihood under a disturbance by more than it is charged.
+
+    Parameters
+    ----------
+    cost : parameters of each effect.
+    tested : effects among which they were chosen.
+    under : the noise under which they are first regressed out.
+    """
+    at = replace(bare, fit=bare.unbiased or bare.fit)
+    plain = replace(at.fit, criterion=unwhitened(at))
+    columns = extended_columns(plain, effects)
+    needed = 0.5 * price_of(cost, at.criterion.n_samples, tested)
+    gain = gain_beside(
+        at,
+        columns,
+        range(len(columns.effects)),
+        known=search.weighing.known_noise,
+        passing=needed,
+        under=under,
+    )
+    return gain > needed
 
 
 def _best(at: Weighted, table: ScoreTable) -> list[Effect]:

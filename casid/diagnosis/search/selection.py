@@ -8,6 +8,7 @@ from functools import partial
 
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
+from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.alternatives import (
     is_imitator,
     laws_before_memory,
@@ -17,6 +18,7 @@ from casid.diagnosis.search.alternatives import (
     without_imitations,
 )
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
+from casid.diagnosis.search.disturbance_alone import pays_beside
 from casid.diagnosis.search.friction_sharpness import (
     with_sharp_friction,
     without_blunt_reversals,
@@ -148,7 +150,7 @@ class _Selection:
             search.first_table = table
         # A score is robust by what repeats: misfit in one short burst, which no score can see,
         # shows in the residual's kind.
-        is_scored = search.has_alarm(at, table)
+        is_scored = search.has_alarm(at, table) or self._pays_beside(table)
         if not is_scored and not attempt(
             "the test of the residual", lambda: is_more_than_noise(at, search)
         ):
@@ -185,6 +187,13 @@ class _Selection:
             for c in _named_first(at, causes)
             if c in significant and (c.merit > 0 or is_alarm)
         ]
+
+    def _pays_beside(self, table: ScoreTable) -> bool:
+        """True if the search is one beside disturbances, and an effect pays for itself there."""
+        search, what = self.search, "the gains of effects beside a random disturbance"
+        if not search.weighing.takes_disturbances:
+            return False
+        return bool(search.attempts.attempt(what, lambda: pays_beside(search, self.at, table)))
 
     def _adopt(
         self, news: Sequence[Adopted], *, note: bool = True, leaves_noise: bool = False
