@@ -11,8 +11,8 @@ say little.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
 from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
@@ -52,7 +52,8 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
     table = beside.table(bare, [])
     if table.smallest is not None and table.smallest.adjusted < search.alpha:
         return None
-    if pays_beside(search, bare, table):
+    gains = _Gains.of(search, bare)
+    if gains.best_pays(table):
         return None
     alone = search.table(start, [])
     for effects, cost in (
@@ -60,7 +61,7 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
         (_over_again(start, alone), PARAMETER_JUMPS.cost_of_two),
         (_lines(start, alone), PERIODIC_FORCES.cost),
     ):
-        if _one_pays(search, bare, effects, cost, len(alone.tested), start.noise):
+        if gains.one_pays(effects, cost, len(alone.tested), start.noise):
             return None
     search.first_table = table
     return bare
@@ -77,38 +78,51 @@ def pays_beside(search: Search, at: Weighted, table: ScoreTable) -> bool:
     ----------
     at, table : a model under a disturbance, and its scores there.
     """
-    return _one_pays(search, at, _best(at, table), 1, len(table.tested), at.noise)
+    return _Gains.of(search, at).best_pays(table)
 
 
-def _one_pays(
-    search: Search,
-    bare: Weighted,
-    effects: Sequence[Effect],
-    cost: int,
-    tested: int,
-    under: NoiseModel,
-) -> bool:
-    """True if an effect raises the likelihood under a disturbance by more than it is charged.
+@dataclass(frozen=True, slots=True)
+class _Gains:
+    """What effects gain beside the disturbance of a model.
 
-    Parameters
+    Attributes
     ----------
-    cost : parameters of each effect.
-    tested : effects among which they were chosen.
-    under : the noise under which they are first regressed out.
+    at : the model at the likeliest point under the disturbance; `bare` as it was found.
+    plain : the same point with the criterion weighted, not whitened.
     """
-    at = replace(bare, fit=bare.unbiased or bare.fit)
-    plain = replace(at.fit, criterion=unwhitened(at))
-    columns = extended_columns(plain, effects)
-    needed = 0.5 * price_of(cost, at.criterion.n_samples, tested)
-    gain = gain_beside(
-        at,
-        columns,
-        range(len(columns.effects)),
-        known=search.weighing.known_noise,
-        passing=needed,
-        under=under,
-    )
-    return gain > needed
+
+    known: Mapping[str, float]
+    bare: Weighted
+    at: Weighted
+    plain: Fit
+
+    @classmethod
+    def of(cls, search: Search, bare: Weighted) -> _Gains:
+        """Those of a model under a disturbance."""
+        at = replace(bare, fit=bare.unbiased or bare.fit)
+        plain = replace(at.fit, criterion=unwhitened(at))
+        return cls(search.weighing.known_noise, bare, at, plain)
+
+    def best_pays(self, table: ScoreTable) -> bool:
+        """True if one of those that score best there does."""
+        return self.one_pays(_best(self.bare, table), 1, len(table.tested), self.bare.noise)
+
+    def one_pays(
+        self, effects: Sequence[Effect], cost: int, tested: int, under: NoiseModel
+    ) -> bool:
+        """True if an effect raises the likelihood by more than it is charged.
+
+        Parameters
+        ----------
+        cost : parameters of each effect.
+        tested : effects among which they were chosen.
+        under : the noise under which they are first regressed out.
+        """
+        columns = extended_columns(self.plain, effects)
+        needed = 0.5 * price_of(cost, self.at.criterion.n_samples, tested)
+        chosen = range(len(columns.effects))
+        gain = gain_beside(self.at, columns, chosen, known=self.known, passing=needed, under=under)
+        return gain > needed
 
 
 def _best(at: Weighted, table: ScoreTable) -> list[Effect]:

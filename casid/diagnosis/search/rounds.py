@@ -289,11 +289,8 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     ):
         keys = list(dict.fromkeys(s.effect.key for s in order))
         gains = [key for key in keys if strongest[key].effect.is_new_gain]
-        timed = [
-            key
-            for key in keys
-            if strongest[key].effect.is_on_the_clock and not strongest[key].effect.is_new_gain
-        ]
+        on_the_clock = [key for key in keys if strongest[key].effect.is_on_the_clock]
+        timed = [key for key in on_the_clock if key not in gains]
         unnamed = [key for key in keys if key[0] == "unknown"]
         lasting = [key for key in keys if key not in (*timed, *gains, *unnamed)]
         changes = (*timed[: SHORTLIST.timed], *gains[: SHORTLIST.gains])

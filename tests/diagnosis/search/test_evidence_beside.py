@@ -26,13 +26,13 @@ def tank() -> casid.Problem:
     return casid.Problem("tank", m)
 
 
-def record(seed: int, jump: float, *, Ts: float = 10.0) -> casid.Record:
+def record(seed: int, jump: float) -> casid.Record:
     """Nine switches of the heater under heat that wanders; C jumps by a share after 50 minutes.
 
     In steps that are exact for held heat.
     """
     rng = np.random.default_rng(seed)
-    N, loss, slow = 900, 20.0, 0.97
+    N, Ts, loss, slow = 900, 10.0, 20.0, 0.97
     heat = np.repeat(2000.0 * rng.integers(0, 2, N // 90), 90)
     wander, T, course = 0.0, 40.0, []
     for k in range(N):
