@@ -13,6 +13,7 @@ from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Sizes, switched_on
 from casid.model.effects.names import ACTS_LATE, BESIDE_ITS_ZERO, LATER_THAN_RECORDED, RECORDED_LATE
+from casid.model.effects.place import recorded_inputs
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Model
 from casid.model.units import is_comparable, same_dimension, unit_quotient
@@ -117,7 +118,7 @@ def dead_time(model: Model, channel: str, longest: float) -> Effect:
 def commands_of(model: Model) -> list[str]:
     """Recorded inputs that no elimination made of an output."""
     gone = {m.output for m in model._measured}
-    return [n for n, u in model.inputs.items() if u.kind in ("measured", "known") and n not in gone]
+    return [n for n in recorded_inputs(model) if n not in gone]
 
 
 def require_command(model: Model, channel: str, *, instead: str) -> None:
@@ -442,7 +443,7 @@ def _commands_of_several(model: Model) -> list[str]:
 
     With a single input, the error of its gain acts as one of the parameters and outputs.
     """
-    inputs = [n for n, u in model.inputs.items() if u.kind in ("measured", "known")]
+    inputs = recorded_inputs(model)
     return [n for n in inputs if model.inputs[n].kind == "known"] if len(inputs) > 1 else []
 
 

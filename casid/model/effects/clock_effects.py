@@ -23,7 +23,7 @@ from casid.model.effects.parameter_effects import (
     since,
     step_at,
 )
-from casid.model.effects.place import is_zero
+from casid.model.effects.place import is_zero, recorded_inputs
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
@@ -167,7 +167,7 @@ def _channels_with_a_gain(model: Model) -> list[str]:
     that of an output where it multiplies nothing else. The zero of a temperature scale means
     nothing to a gain.
     """
-    recorded = [n for n, u in model.inputs.items() if u.kind in ("measured", "known")]
+    recorded = recorded_inputs(model)
     units = {n: unit for n, (_, unit) in model.outputs.items()}
     units |= {n: model.inputs[n].unit for n in recorded}
     of_scales = [n for n, unit in units.items() if not same_dimension(unit, "K")]

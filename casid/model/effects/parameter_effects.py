@@ -13,7 +13,7 @@ from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Motion, Sizes, Spread
 from casid.model.effects.names import FOR_A_WHILE
-from casid.model.effects.place import is_amount, is_mechanical, is_zero
+from casid.model.effects.place import is_amount, is_mechanical, is_zero, recorded_inputs
 from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS, UNNAMED_EFFECTS
 from casid.model.model import Model
 from casid.model.units import declared_quotient, unit_quotient
@@ -262,7 +262,7 @@ def is_constant_term(model: Model, name: str) -> bool:
 
 def _of_gains(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
     """The rate of its balance and those of bodies, for a parameter that multiplies an input."""
-    inputs = [model.symbol(n) for n in _read_inputs(model)]
+    inputs = [model.symbol(n) for n in recorded_inputs(model)]
     shape = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), symbol)
     if len(inside) != 1 or not any(any(ca.which_depends(shape, u)) for u in inputs):
         return []
@@ -294,7 +294,7 @@ def _with_flows(model: Model) -> Iterator[tuple[str, str]]:
     states = ca.vertcat(*[model.symbol(s) for s in model.states])
     for b in model.balances.values():
         carried = ca.vec(ca.jacobian(b.total, states))
-        for channel in [] if is_mechanical(b.unit) else _read_inputs(model):
+        for channel in [] if is_mechanical(b.unit) else recorded_inputs(model):
             if any(ca.which_depends(carried, model.symbol(channel))):
                 for name, p in model.parameters.items():
                     if not p.is_known and any(ca.which_depends(b.total, model.symbol(name))):
@@ -302,16 +302,12 @@ def _with_flows(model: Model) -> Iterator[tuple[str, str]]:
 
 
 def _gains_with_other_inputs(model: Model) -> Iterator[tuple[str, str]]:
-    inputs = _read_inputs(model)
+    inputs = recorded_inputs(model)
     for name, p in model.parameters.items():
         slopes = [ca.jacobian(b.total, model.symbol(name)) for b in model.balances.values()]
         beside = {s.name() for slope in slopes for s in ca.symvar(slope)}
         if not p.is_known and beside & {*inputs} and not beside & {*model.states}:
             yield from ((name, channel) for channel in inputs if channel not in beside)
-
-
-def _read_inputs(model: Model) -> list[str]:
-    return [n for n, entry in model.inputs.items() if entry.kind in ("measured", "known")]
 
 
 def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
@@ -322,7 +318,7 @@ def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
     outputs = [ca.SX(e) for e, _ in model.outputs.values()]
     seen = [e for e in outputs if any(ca.which_depends(e, symbol))]
     felt = {s.name() for e in seen for s in ca.symvar(e)}
-    return sorted(felt & {*model.states, *_read_inputs(model)})
+    return sorted(felt & {*model.states, *recorded_inputs(model)})
 
 
 def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:

@@ -165,6 +165,11 @@ def _drives_another(model: Model, state: str, side: Expr, balance: Balance) -> b
     )
 
 
+def recorded_inputs(model: Model) -> list[str]:
+    """Inputs that a record holds, measured or known."""
+    return [n for n, u in model.inputs.items() if u.kind in ("measured", "known")]
+
+
 def is_zero(expression: Expr) -> bool:
     """True if an expression vanishes at random points."""
     symbols = ca.symvar(expression)
