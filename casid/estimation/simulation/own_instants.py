@@ -19,6 +19,9 @@ from casid.arrays import Array
 from casid.data.record import Record
 from casid.estimation.simulation.sensor_dynamics import Before
 
+ROUNDING = 1e-6
+"""Samples by which the same stamp may differ as one of a step and one of an output."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instants:
@@ -75,15 +78,45 @@ def at_own_instants(
         before = steps.get(c)
         if before is None:
             begin = _off_bends(begin, place, at.bend, first, last)
-        share = place - begin
-        end = y[begin + 1, c] if before is None else before.y[begin]
-        moved = y[begin, c] + share * (end - y[begin, c])
+        sides = _sides_of_bends(begin, place, at.bend, first)
+        moved = _on_lines(y[:, c], None if before is None else before.y, begin, place, sides)
         if jac is not None:
-            ahead = jac[begin + 1, c]
-            if before is not None and before.jac is not None:
-                ahead = before.jac[begin]
-            jac[rows, c] = jac[begin, c] + share[:, None] * (ahead - jac[begin, c])
+            ends = None if before is None else before.jac
+            jac[rows, c] = _on_lines(jac[:, c], ends, begin, place, sides)
         y[rows, c] = moved
+
+
+def _on_lines(
+    at: Array, ends: Array | None, begin: Array, place: Array, sides: tuple[Array, Array]
+) -> Array:
+    """Columns (N, ...) at places (M,), on the straight lines of the intervals that begin (M,).
+
+    Parameters
+    ----------
+    ends : (N, ...) of an output that steps, what it was at the end of each sample; None for others.
+    sides : as of `_sides_of_bends`.
+    """
+    share = (place - begin).reshape(-1, *[1] * (at.ndim - 1))
+    if ends is None:
+        return np.asarray(at[begin] + share * (at[begin + 1] - at[begin]))
+    moved = at[begin] + share * (ends[begin] - at[begin])
+    is_before, is_behind = sides
+    k = begin[is_before]
+    moved[is_before] -= at[k] - ends[k - 1]
+    k = begin[is_behind]
+    moved[is_behind] += at[k + 1] - ends[k]
+    return np.asarray(moved)
+
+
+def _sides_of_bends(begin: Array, place: Array, bend: Array, first: Array) -> tuple[Array, Array]:
+    """Which places (M,) lie before a held input's step in their interval, and which behind it.
+
+    A place at the step is behind it: a held input acts from its sample on. Neither, where the
+    neighbour on that side has a step of its own, or belongs to another part.
+    """
+    share, step = place - begin, bend[begin]
+    is_before = (share < step - ROUNDING) & (begin > first) & np.isnan(bend[begin - 1])
+    return is_before, (share >= step - ROUNDING) & np.isnan(bend[begin + 1])
 
 
 def _off_bends(begin: Array, place: Array, bend: Array, first: Array, last: Array) -> Array:

@@ -147,10 +147,11 @@ class SimulationError:
         self.free, self.own = self.unknowns.free, self.unknowns.own
         pinned = {p.name: p.lower for p in model.parameters.values() if p.lower == p.upper}
         pinned = {n: v for n, v in pinned.items() if n in self.free}
+        steps, uneven = self.substeps, any(d.instants is not None for d in self.data)
         for d in self.data:
             if d.Ts not in self._simulators:
                 self._simulators[d.Ts] = Simulator(
-                    model, d.Ts, self.free, substeps=self.substeps, pinned=pinned
+                    model, d.Ts, self.free, substeps=steps, pinned=pinned, uneven=uneven
                 )
             elif self._simulators[d.Ts].free != tuple(self.free):
                 raise DataError(
@@ -406,10 +407,13 @@ class SimulationError:
             c = self.outputs.index(stage.channel)
             value = p[names.index(stage.parameter)]
             place = index[self.free.index(stage.parameter)] if stage.parameter in self.free else -1
-            before = None if stage.kind == "clip" else steps.pop(c, None)
+            is_clip = stage.kind == "clip"
+            before = steps.get(c) if is_clip else steps.pop(c, None)
             for rows in parts:
                 of_column = None if jac is None else jac[rows, c, :]
                 own = None if before is None else before.part(rows)
+                if is_clip and own is not None:
+                    through_sensor("clip", own.y, own.jac, value, d.Ts, int(place))
                 through_sensor(stage.kind, y[rows, c], of_column, value, d.Ts, int(place), own)
 
     def simulated(self, x: Array, experiment: int, *, signals: Signals | None = None) -> Simulated:

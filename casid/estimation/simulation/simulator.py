@@ -106,10 +106,12 @@ def inputs_within(
         yield value
 
 
-def stepping_outputs(model: Model, e: Explicit) -> tuple[int, ...]:
+def stepping_outputs(model: Model, e: Explicit, *, uneven: bool = False) -> tuple[int, ...]:
     """Places of outputs behind a delay or lag that step where a held input does.
 
-    What such a sensor gives at a sample is what came before the step.
+    What such a sensor gives at a sample is what came before the step. Of a record whose samples
+    were taken between the instants of its clock (`uneven`) every output that steps counts: there
+    it is what it was before the step, or behind it.
     """
     held = [
         e.u[i]
@@ -117,7 +119,7 @@ def stepping_outputs(model: Model, e: Explicit) -> tuple[int, ...]:
         if "zoh" in model.inputs[name].holds and Stage.line_of(name)[0] not in e.inputs
     ]
     late = {s.channel for s in model.stages if s.kind in ("delay", "lag")}
-    found = [i for i, name in enumerate(e.outputs) if name in late] if held else []
+    found = [i for i, name in enumerate(e.outputs) if uneven or name in late] if held else []
     return tuple(i for i in found if any(ca.which_depends(e.h[i], ca.vertcat(*held))))
 
 
@@ -132,6 +134,7 @@ class Simulator:
     substeps : Runge-Kutta steps per sample.
     pinned : values that parameters always have here. A state that no output then depends on
         is simulated without sensitivities, and they are zero in what is returned.
+    uneven : whether outputs were read between the samples.
     """
 
     def __init__(
@@ -142,6 +145,7 @@ class Simulator:
         *,
         substeps: int = 1,
         pinned: Mapping[str, float] | None = None,
+        uneven: bool = False,
     ) -> None:
         self.model, self.Ts, self.free, self.substeps = model, Ts, tuple(free), substeps
         self.equations = model.explicit()
@@ -164,7 +168,7 @@ class Simulator:
         ]
         f = ca.Function("f", [e.x, e.u, e.p], [e.f])
         x_next = rk4_step(f, e.x, e.p, at, Ts * (within[2] - within[0]))
-        self.stepping = stepping_outputs(model, e)
+        self.stepping = stepping_outputs(model, e, uneven=uneven)
         h = ca.Function("h", [e.x, e.u, e.p], [e.h])
         at_end = h(x_next, at[2], e.p)
         self._symbols, self._x_next = symbols, x_next

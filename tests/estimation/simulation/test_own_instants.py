@@ -135,3 +135,32 @@ def test_a_bolus_within_one_interval_is_all_there(tmp_path: Path) -> None:
     d = criterion.data[0]
     assert np.sum(d.u[:, 0]) * 3.6e9 * d.Ts / 3600 == pytest.approx(60.0 * 8, rel=1e-9)
     assert np.abs(error).max() < 0.05
+
+
+def test_an_output_that_steps_with_the_input_has_all_of_its_step_at_once(tmp_path: Path) -> None:
+    """A resistance in series with a store, u = q / C + R i: a row has the current from it on.
+
+    The current runs in from the row's own stamp. What is simulated is the mean current of the
+    clock's interval, and R times what that lacks would be an error a hundred times as large.
+    """
+    rng, R, C = np.random.default_rng(5), 2.0, 40.0
+    t = np.cumsum(rng.uniform(0.8, 1.2, 300))
+    i = np.repeat(rng.choice([-1.0, 0.0, 1.0, 2.0], 30), 10)
+    q = np.append(0.0, np.cumsum(i[:-1] * np.diff(t)))
+    rows = [f"{a:.6f},{b:g},{c:.9f}" for a, b, c in zip(t, i, q / C + R * i, strict=True)]
+    path = tmp_path / "cell.csv"
+    path.write_text("\n".join(["t [s],i [A],u [V]", *rows]) + "\n")
+    m = casid.Model("store behind a resistance")
+    charge, current = m.state("q", "coulomb"), m.input("i", "A", hold="zoh", known=True)
+    m.balance(charge, "charge", inertia=1, terms=[current], unit="A")
+    series = m.parameter("R", "ohm", start=R, lower=0.1, upper=100)
+    m.output("u", charge / m.constant("C", C, "farad") + series * current, "V")
+    cell = casid.Problem("cell", m)
+    criterion = SimulationError(m, with_gaps_treated(m, [cell.read(path)]))
+    start = np.where(criterion.start == R, R, 0.0)
+    used = criterion.data[0].used[:, 0]
+    assert criterion.data[0].instants is not None
+    at = criterion.simulated(start, 0)
+    assert np.abs(at.residual[used]).max() < 0.01 * R
+    of_R = at.jacobian[used, 0, int(np.flatnonzero(criterion.start == R)[0])]
+    assert np.abs(np.abs(of_R) - np.abs(i)).max() < 1e-9
