@@ -4,7 +4,8 @@
 
 at the reading yhat_k that the model simulates: `share` of large readings, and `share * level` where
 there is nothing to read. Whether it grows is tested on what is left of a residual when each sample
-is taken less the line through its two neighbours: a misfit, which is smooth, hardly shows there.
+is taken less the line through its two neighbours, and these differences once more less the lines
+through theirs: a misfit, which is smooth, hardly shows there.
 
 Source: R. J. Carroll and D. Ruppert, Transformation and Weighting in Regression, Chapman and Hall
 1988, chapters 2 and 3: variance as a function of the mean, and weights that follow it.
@@ -38,23 +39,29 @@ def growing_level(readings: Sequence[Readings]) -> float | None:
 
     A likelihood ratio of the differences from neighbours under Student's t with four degrees of
     freedom, against noise of one size, both without outliers; a lower one has to remain without the
-    few samples that lie furthest off, which may be all that is larger. It is none where the sizes
-    that follow differ little over the record, or where differences that follow each other are
-    alike: noise that is independent from sample to sample makes them unlike, and a misfit, which
-    grows with the motion as well, alike.
+    few samples that lie furthest off, which may be all that is larger, and of differences that are
+    taken twice: they keep noise, and lose a misfit that grows with a motion of few samples a
+    period. It is none where the sizes that follow differ little over the record, or where
+    differences that follow each other are alike: noise that is independent from sample to sample
+    makes them unlike, and a misfit, which grows with the motion as well, alike.
     """
     sizes = np.concatenate([r.simulated for r in readings]) if readings else np.zeros(0)
     rms = float(np.sqrt(np.mean(sizes**2))) if len(sizes) else 0.0
     if sum(max(len(r.t) - 2, 0) for r in readings) < GROWING_NOISE.samples or rms == 0.0:
         return None
     levels = rms * np.geomspace(GROWING_NOISE.lowest, 1.0, 13)
-    parts = [_differences(r) for r in _without_outliers(readings, levels)]
+    clean = _without_outliers(readings, levels)
+    parts = [_differences(r) for r in clean]
     level, log_likelihood = _likeliest(parts, levels)
     few = [_differences(r) for r in _without_outliers(readings, None)]
-    gains = (
+    gains = [
         (log_likelihood - _log_likelihood(parts, None), GROWING_NOISE.alpha),
         (_likeliest(few, levels)[1] - _log_likelihood(few, None), GROWING_NOISE.inner),
-    )
+    ]
+    twice = _differences_taken_twice(clean, parts)
+    if sum(len(p.value) for p in twice) >= GROWING_NOISE.samples:
+        gain = _likeliest(twice, levels)[1] - _log_likelihood(twice, None)
+        gains.append((gain, GROWING_NOISE.inner))
     if any(2 * gain < GROWING_NOISE.along * chi2.isf(alpha, 1) for gain, alpha in gains):
         return None
     low, high = np.quantile(np.hypot(level, sizes), [0.1, 0.9])
@@ -95,6 +102,18 @@ def _differences(r: Readings) -> _Differences:
         return np.column_stack([values[:-2], values[1:-1], values[2:]])
 
     return _Differences(np.sum(weights * threes(r.error), axis=1), weights, threes(r.simulated))
+
+
+def _differences_taken_twice(
+    readings: Sequence[Readings], once: Sequence[_Differences]
+) -> list[_Differences]:
+    """Differences of differences, as if these were samples, where there are enough of them."""
+    pairs = zip(readings, once, strict=True)
+    return [
+        _differences(Readings(r.t[1:-1], r.simulated[1:-1], d.value))
+        for r, d in pairs
+        if len(d.value) > 2
+    ]
 
 
 def _likeliest(parts: Sequence[_Differences], levels: Array) -> tuple[float, float]:

@@ -239,7 +239,10 @@ class GrowingNoise:
         _GROWING,
     )
     inner: float = _is(
-        0.1, "the same without the few samples that lie furthest off, as outliers do", _GROWING
+        0.1,
+        "the same without the few samples that lie furthest off, as outliers do, and of "
+        "differences taken twice, which a smooth misfit does not outlive: both keep most of noise",
+        _GROWING,
     )
     few: float = _is(0.05, "share of samples that may be outliers", _GROWING)
     along: float = _is(

@@ -59,6 +59,29 @@ def test_a_misfit_that_grows_with_the_motion_is_no_noise():
     assert growing_level([Readings(t, y, error)]) is None
 
 
+def passage(seed: int, **errors: float) -> Readings:
+    """A sweep past a resonance, 14 samples a period, with noise of 0.01 of the largest reading.
+
+    Besides: a `misfit` in quadrature, in proportion to the motion, and noise as a `share` of it.
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(3000.0)
+    y = np.exp(-0.5 * ((t - 1500) / 240) ** 2) * np.exp(2j * np.pi * t / 14)
+    sd = np.hypot(errors.get("share", 0.0) * y.imag, 0.01)
+    misfit = errors.get("misfit", 0.0) * y.real
+    return Readings(t, y.imag, misfit + sd * rng.standard_normal(len(t)))
+
+
+def test_a_misfit_of_few_samples_a_period_at_a_resonance_is_no_noise():
+    """Differences from neighbours leave a tenth of a misfit of 0.3, which is three times the noise.
+
+    They are too few for their products to show it. Of differences that are taken twice a hundredth
+    is left, and noise that grows is as large as before.
+    """
+    assert all(growing_level([passage(seed, misfit=0.3)]) is None for seed in range(5))
+    assert all(growing_level([passage(seed, share=0.05)]) is not None for seed in range(5))
+
+
 def test_a_record_whose_readings_differ_little_needs_no_sizes():
     """A level between 18 and 22: whether its noise is of one size makes no difference."""
     rng = np.random.default_rng(4)
