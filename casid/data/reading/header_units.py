@@ -15,6 +15,7 @@ _LAST = re.compile(r"(.*[\])>])\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*
 _IN_WORD = re.compile(r"in\s+(\S.*)", re.IGNORECASE)  # of "(in cm)"
 _IN = re.compile(r"(.+?)[\s_,]+in[\s_]+(\S.*)", re.IGNORECASE)
 _SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")
+_COMPOUND = re.compile(r"\S[/*·^]\S|[²³]$")  # signs that a compound has and a name has not
 _SPACE = re.compile(r"(.*\S)[\s,]+(\S+)")
 # Endings that are more often a word, an index or another unit than what the list reads: x_in is an
 # input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second, r_psi a
@@ -145,6 +146,8 @@ def header_unit(column: str) -> HeaderUnit | None:
     space = _SPACE.fullmatch(column)
     if space and "/" in space[2][1:] and not space[1].endswith("/") and _reads(space[2]):
         return HeaderUnit(space[2], _reads(space[2]), space[1], True)
+    if compound := _compound_ending(column):
+        return compound
     for pattern in (_IN, _SLASH):
         match = pattern.fullmatch(column)
         if match:
@@ -159,6 +162,27 @@ def header_unit(column: str) -> HeaderUnit | None:
         hint = _reads(space[2])
         return HeaderUnit(space[2], hint, space[1], space[2][0] in "°%") if hint else None
     return None
+
+
+def _compound_ending(column: str) -> HeaderUnit | None:
+    """A quotient, a power or a product of units behind the last underscore: rate_deg/s, q_m3/h.
+
+    A word before a slash that is rather the end of a name belongs to the name, as of T_in/degC,
+    unless it is a rate: q_l/min.
+    """
+    stem, underscore, ending = column.rpartition("_")
+    if not (stem and underscore and _COMPOUND.search(ending)):
+        return None
+    above, slash, below = ending.partition("/")
+    if slash and _is_no_ending(above) and not (_is_time(below) and not _is_time(above)):
+        return None
+    found = written_unit(ending, stem)
+    return found if found.unit is not None or found.why else None
+
+
+def _is_time(text: str) -> bool:
+    unit = _reads(text)
+    return unit is not None and same_dimension(unit, "s")
 
 
 def _is_no_ending(text: str) -> bool:

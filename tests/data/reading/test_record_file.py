@@ -267,6 +267,32 @@ def test_the_ending_of_a_name_gives_the_unit_where_it_has_one_reading(column, un
     assert (found.unit if found else None) == unit
 
 
+@given(
+    name=st.sampled_from(["v", "pitch_rate", "q_in", "T_2"]),
+    above=st.sampled_from(["deg", "m", "m3", "m^3", "kg", "N*m", "kN", "J", "m²", "rad"]),
+    below=st.sampled_from(["s", "min", "h", "s^2", "s²", "ms"]),
+)
+def test_a_quotient_behind_the_last_underscore_is_one_unit(name, above, below):
+    """A name ends at its last underscore: what stands behind a slash is a part of a unit."""
+    found = header_unit(f"{name}_{above}/{below}")
+    assert found is not None
+    assert (found.unit, found.stem) == (f"{above}/{below}", name)
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "stem"),
+    [("T_N*m", "N*m", "T"), ("A_m²", "m²", "A"), ("a_m^2", "m^2", "a"), ("Q_kJ/kg", "kJ/kg", "Q"),
+     ("n_1/min", None, "n"), ("q_l/min", "l/min", "q"), ("i_a/mA", "mA", "i_a"),
+     ("T_in/degC", "degC", "T_in"), ("u_d/V", "V", "u_d"), ("x_1/m", "m", "x_1"),
+     ("dp_dt/Pa", "Pa", "dp_dt")],
+)  # fmt: skip
+def test_a_compound_ending_is_a_unit_and_an_index_before_a_slash_is_none(column, unit, stem):
+    """n_1/min has two readings, as n [1/min] has; an index before a unit stays in the name."""
+    found = header_unit(column)
+    assert found is not None
+    assert (found.unit, found.stem) == (unit, stem)
+
+
 # ---------------------------------------------------------------------- the measurements
 
 
