@@ -789,6 +789,12 @@ class Shortlist:
         "looks like a force for a while and like two parameters",
         f"{TESTS}/search/test_temporary_changes.py",
     )
+    few: int = _is(
+        6,
+        "effects that are seen beside a disturbance, at most, where the first cause is sought "
+        "among them: many look alike there as well",
+        f"{TESTS}/search/test_first_cause.py",
+    )
     switch: int = _is(
         3,
         "levels of a switch, at most: held by its nature, nothing in it is sought to be smooth",

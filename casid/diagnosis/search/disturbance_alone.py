@@ -2,11 +2,10 @@
 
 A search beside a sea finds many effects that imitate it, refits them, and refuses them all against
 the disturbance in their place. Three looks foretell that: the residual under the disturbance is
-random, no effect scores beside it, and none of those that score best, beside it or under the
-sensors' noise, lets the disturbance explain so much less that its likelihood would pay for it.
-
-A model that errs by many times the sensors' noise is searched: of its effects the tangents there
-say little.
+random, and none of the effects that score best, beside it or under the sensors' noise, lets the
+disturbance explain so much less that its likelihood would pay for it. Where an effect scores beside
+it all the same, or the model errs by many times the sensors' noise, so that tangents say little,
+the effects that score best are refitted beside it.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.evidence.sufficiency import error_over_noise
+from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
 from casid.diagnosis.search.jump_times import placed_by_tangents
 from casid.diagnosis.search.residual_check import is_more_than_noise
@@ -33,29 +33,28 @@ from casid.model.effects.periodic import sinusoid
 from casid.model.effects.search_ranges import PARAMETER_JUMPS, PERIODIC_FORCES
 
 
-def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | None:
-    """The model as it is, under the disturbance that is all it leaves; None where more is left.
+def disturbance_alone(
+    search: Search, start: Weighted, base: Fit, adopted: Sequence[Candidate] = ()
+) -> Weighted | None:
+    """A model under the disturbance that is all it leaves; None where more is left.
 
     Parameters
     ----------
-    start, base : the model as it is, under the sensors' noise and by its simulation error.
+    start, base : the model, under the sensors' noise and by its simulation error.
+    adopted : the causes that are in it.
     """
     if not start.noise_absorbs_misfit or is_held(base):
-        return None
-    if error_over_noise(base, start.noise) > RESTARTS.far:
         return None
     search.progress("test whether a random disturbance explains all that the model leaves")
     beside = search.with_disturbances()
     bare = search.under_disturbance(base)
     if minus_log_likelihood(bare) > as_white(base) or is_more_than_noise(bare, beside):
         return None
-    table = beside.table(bare, [])
-    if table.smallest is not None and table.smallest.adjusted < search.alpha:
-        return None
+    table = beside.table(bare, adopted)
     gains = _Gains.of(search, bare)
     if gains.best_pays(table):
         return None
-    alone = search.table(start, [])
+    alone = search.table(start, adopted)
     for effects, cost in (
         (_best(start, alone), 1),
         (_over_again(start, alone), PARAMETER_JUMPS.cost_of_two),
@@ -63,8 +62,21 @@ def disturbance_alone(search: Search, start: Weighted, base: Fit) -> Weighted | 
     ):
         if gains.one_pays(effects, cost, len(alone.tested), start.noise):
             return None
-    search.first_table = table
+    is_far = error_over_noise(base, start.noise) > RESTARTS.far and not adopted
+    if (is_far or beside.has_alarm(bare, table)) and _refit_pays(beside, bare, table, adopted):
+        return None
+    if search.first_table is None:
+        search.first_table = table
     return bare
+
+
+def _refit_pays(
+    beside: Search, bare: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
+) -> bool:
+    """True if an effect pays for itself by what its refit beside the disturbance gains."""
+    n, tested = bare.criterion.n_samples, len(table.tested)
+    found = beside.round(bare, table, adopted)
+    return any(c.gain > price_of(c.effect.cost, n, tested) for c in found)
 
 
 def pays_beside(search: Search, at: Weighted, table: ScoreTable) -> bool:

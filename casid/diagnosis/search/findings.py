@@ -11,6 +11,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, name_of
 from casid.diagnosis.search.disturbance_alone import disturbance_alone
 from casid.diagnosis.search.disturbance_rival import weighed_against_disturbances
+from casid.diagnosis.search.first_cause import seen_beside_disturbance
 from casid.diagnosis.search.instant_errors import with_instant_errors
 from casid.diagnosis.search.promotion import with_likelier_rivals
 from casid.diagnosis.search.reconsideration import reconsidered
@@ -143,7 +144,9 @@ def _found(
         start = replace(start, beside=alone)
         return search, start, Adoption((), start, None)
     with search.attempts.within(BUDGET.adoption):
-        found = adopt_causes(search, start, fit, baseline.split, settings.fit)
+        what = "the search for effects beside a random disturbance"
+        first = attempt(what, lambda: seen_beside_disturbance(search, baseline, settings)) or ()
+        found = adopt_causes(search, start, fit, baseline.split, settings.fit, first)
     what = "the comparison of what was found with a random disturbance"
     compared = attempt(
         what, lambda: weighed_against_disturbances(search, found, baseline, settings)

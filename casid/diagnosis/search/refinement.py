@@ -24,7 +24,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.robust_errors import std_error, wald
 from casid.diagnosis.search.alternatives import TANGENTS, is_imitator
 from casid.diagnosis.search.candidates import (
@@ -52,7 +52,7 @@ from casid.diagnosis.search.simulation_errors import (
 from casid.diagnosis.search.swinging_parts import in_motion, may_move
 from casid.diagnosis.thresholds import JUDGING, JUMPS, ROUNDS
 from casid.estimation.holdout import Split
-from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 from casid.model.model import Model
 
@@ -390,6 +390,22 @@ def whole_fit(
     return fit_model(
         model, split.fitted, settings, start=start, weights=units, check_rank=False, throw=False
     )
+
+
+def weighed_whole(weighing: Weighing, fit: Fit, settings: FitSettings) -> tuple[Fit, Weighted]:
+    """A whole fit under its noise: in units of its own errors where only those leave noise alone.
+
+    In units of the errors of the model as it is, an output whose error an effect explains nearly
+    all of counts for little, and the small misfit that the fit leaves there passes for more to
+    explain.
+    """
+    model = fit.criterion.model
+    at = weighing.weigh(model, fit, rounds=1)
+    if not at.noise_absorbs_misfit or weighing.takes_disturbances:
+        return fit, at
+    own = weighted_by_errors(fit, settings)
+    of_own = at if own is fit else weighing.weigh(model, own, rounds=1)
+    return (fit, at) if of_own.noise_absorbs_misfit else (own, of_own)
 
 
 def _moves(kept: Sequence[Adopted], fit: Fit, other: Fit) -> bool:

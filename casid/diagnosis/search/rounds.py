@@ -214,15 +214,21 @@ class Search:
         return at.noise_absorbs_misfit or (best is not None and best.adjusted < self.alpha)
 
     def round(
-        self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
+        self,
+        at: Weighted,
+        table: ScoreTable,
+        adopted: Sequence[Candidate],
+        first: Sequence[Candidate] = (),
     ) -> list[Candidate]:
-        """Refit the shortlist of what was not adopted yet; best first."""
+        """Refit the shortlist of what was not adopted yet, or `first` alone; best first."""
         refitting, attempt = self.refitting, self.attempts.attempt
         with self.attempts.within(BUDGET.refits):
-            found = self._refits(at, table)
+            if first:
+                found = [c for c in (refitting.again(at, f) for f in first) if c is not None]
+            else:
+                found = self.refits(at, table, adopted)
             if not found:
                 return found
-            found = placed(refitting, at, found, events_of(adopted), self.progress)
             found = sharpened(refitting, at, found, self.progress)
             found = beside_lines(refitting, at, found, self.progress)
         found = sorted(on_common_samples(found), key=lambda c: -c.merit)
@@ -231,11 +237,13 @@ class Search:
         what = "the comparison of the candidates"
         return attempt(what, lambda: ranked(refitting, at, found)) or found
 
-    def _refits(self, at: Weighted, table: ScoreTable) -> list[Candidate]:
-        """The shortlist, refitted one after the other, as far as there is time."""
+    def refits(
+        self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
+    ) -> list[Candidate]:
+        """The shortlist, refitted one after the other as far as there is time, placed in time."""
         found: list[Candidate] = []
         refitting = self.refitting
-        scores = [*shortlist(at, table), *temporary_changes(at, table)]
+        scores = scores_to_refit(at, table)
         short = self.attempts.attempt(
             "the choice of candidates on a part of the records",
             lambda: preselected(refitting, at, scores, self.progress),
@@ -253,7 +261,7 @@ class Search:
             if candidate is not None:
                 found.append(replace(candidate, score=s))
                 best = max(best, candidate.gain)
-        return found
+        return placed(refitting, at, found, events_of(adopted), self.progress)
 
     def leads(self, found: Sequence[Candidate], table: ScoreTable) -> bool:
         """False where no time was left to refit an effect that promises more than all others."""
@@ -261,6 +269,11 @@ class Search:
         promises = (s.unrobust for s in table.tested if name_of(s.effect) in waiting)
         promised = max(promises, default=0.0)
         return max(c.gain for c in found) >= promised
+
+
+def scores_to_refit(at: Weighted, table: ScoreTable) -> list[Score]:
+    """The shortlist, and the changes that are over before the record is."""
+    return [*shortlist(at, table), *temporary_changes(at, table)]
 
 
 def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:

@@ -18,14 +18,20 @@ from casid.diagnosis.search.alternatives import (
     without_imitations,
 )
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
-from casid.diagnosis.search.disturbance_alone import pays_beside
+from casid.diagnosis.search.disturbance_alone import disturbance_alone, pays_beside
 from casid.diagnosis.search.friction_sharpness import (
     with_sharp_friction,
     without_blunt_reversals,
 )
 from casid.diagnosis.search.powers_of_states import with_better_powers
 from casid.diagnosis.search.reconsideration import better_rivals
-from casid.diagnosis.search.refinement import Adoption, Refinement, exchanged, whole_fit
+from casid.diagnosis.search.refinement import (
+    Adoption,
+    Refinement,
+    exchanged,
+    weighed_whole,
+    whole_fit,
+)
 from casid.diagnosis.search.residual_check import is_more_than_noise, is_noise_alone
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
@@ -52,16 +58,26 @@ LATE = ("time_delay", "sensor_lag", "actuator_lag")
 
 
 def adopt_causes(
-    search: Search, at: Weighted, base_fit: Fit, split: Split, settings: FitSettings
+    search: Search,
+    at: Weighted,
+    base_fit: Fit,
+    split: Split,
+    settings: FitSettings,
+    first: Sequence[Candidate] = (),
 ) -> Adoption:
-    """Adopt effects until nothing significant is left that lowers the errors; keep what matters."""
+    """Adopt effects until nothing significant is left that lowers the errors; keep what matters.
+
+    Parameters
+    ----------
+    first : candidates among which the first cause is sought before all others.
+    """
     once = replace(settings, starts=1, solver=settings.solver or EXACT)
     units = base_fit.criterion.weights
     under = at.noise if search.weighing.takes_disturbances else None
     errors = simulation_errors(base_fit if under is None else at.fit, split, units, under)
-    state = _Selection(search, split, once, units, at, errors, at, base_fit, errors)
+    state = _Selection(search, split, once, units, at, errors, at, base_fit, errors, first)
     refine = Refinement(search, split, once, units, at, base_fit)
-    while len(state.adopted) < search.max_causes and state.adopt_next():
+    while len(state.adopted) < search.max_causes and not state.is_done and state.adopt_next():
         state.exchange_last()
         if under is None:
             state.sharpen(refine)
@@ -107,6 +123,7 @@ class _Selection:
     at: Weighted
     fit: Fit  # simulation error, whole records
     errors: SimulationErrors
+    first: Sequence[Candidate] = ()
     adopted: list[Adopted] = field(default_factory=list)
     stores: list[Adopted] = field(default_factory=list)  # significant in the last round
     imitations: list[Adopted] = field(default_factory=list)  # of better laws, in the last round
@@ -116,8 +133,25 @@ class _Selection:
         """What was adopted until now."""
         return Adoption(tuple(self.adopted), self.at, self.fit)
 
+    @property
+    def is_done(self) -> bool:
+        """True if laws were adopted, and a random disturbance is all that they leave.
+
+        A change in time may have followed a disturbance, or imitate what is sought next.
+        """
+        named = [a.candidate for a in self.adopted]
+        search = self.search
+        if not named or any(map(is_imitator, named)) or search.weighing.takes_disturbances:
+            return False
+        what = "the test whether a random disturbance explains all that the causes leave"
+        alone = partial(disturbance_alone, search, self.at, self.fit, named)
+        return search.attempts.attempt(what, alone) is not None
+
     def adopt_next(self) -> bool:
         """One round of the search; False where nothing was adopted."""
+        if self.first and not self.adopted:
+            if any(self._adopt([a]) for a in self._significant(self.first)):
+                return True
         found = self._significant()
         for best in found:
             if self._adopt([best]) or self._adopt_in_its_place(best, found):
@@ -137,8 +171,13 @@ class _Selection:
         self.imitations = [a for a in self.imitations if a not in waiting]
         return any(self._adopt([a], leaves_noise=True) for a in waiting)
 
-    def _significant(self) -> list[Adopted]:
-        """Candidates of one round that are significant, in the order in which they are tried."""
+    def _significant(self, first: Sequence[Candidate] = ()) -> list[Adopted]:
+        """Candidates of one round that are significant, in the order in which they are tried.
+
+        Parameters
+        ----------
+        first : the candidates that are refitted, from where they were found; default the shortlist.
+        """
         search, at = self.search, self.at
         search.progress(f"test every effect (round {len(self.adopted) + 1})")
         named = [a.candidate for a in self.adopted]
@@ -155,7 +194,8 @@ class _Selection:
             "the test of the residual", lambda: is_more_than_noise(at, search)
         ):
             return []
-        found = attempt("the refits of the candidates", lambda: search.round(at, table, named))
+        refits = partial(search.round, at, table, named, first)
+        found = attempt("the refits of the candidates", refits)
         if not found:
             return []
         if not search.first_candidates:
@@ -230,7 +270,7 @@ class _Selection:
         fit = fit or whole()
         if why := _why_undetermined(self.fit, fit, best):
             return why
-        at = weighing.weigh(best.model, fit, rounds=1)
+        fit, at = weighed_whole(weighing, fit, self.settings)
         if leaves_noise and not is_noise_alone(at, self.search):
             return LEAVES_MORE
         if is_disturbed:

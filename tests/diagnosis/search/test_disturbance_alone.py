@@ -58,10 +58,14 @@ def test_a_drag_in_a_sea_has_to_be_sought() -> None:
     assert disturbance_alone(search, start, base) is None
 
 
-def test_a_model_that_errs_by_many_times_the_noise_is_searched() -> None:
-    search, start, base = started(record(1))
+@pytest.mark.slow
+@pytest.mark.parametrize("drag", [0.0, 1.5])
+def test_in_a_sea_of_many_times_the_noise_refits_tell_whether_anything_has_to_be_sought(
+    drag: float,
+) -> None:
+    search, start, base = started(record(3, drag=drag))
     assert error_over_noise(base, start.noise) > RESTARTS.far
-    assert disturbance_alone(search, start, base) is None
+    assert (disturbance_alone(search, start, base) is None) == (drag > 0.0)
 
 
 def test_a_line_beside_a_sea_is_sought() -> None:

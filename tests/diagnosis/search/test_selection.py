@@ -74,7 +74,7 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
     )
     search = SimpleNamespace(attempts=Attempts(), progress=lambda _: None)
     at = SimpleNamespace(noise_absorbs_misfit=False)
-    state = _Selection(search, None, None, None, at, None, at, None, None, [taken])
+    state = _Selection(search, None, None, None, at, None, at, None, None, adopted=[taken])
     state.exchange_last()
     assert state.adopted == [taken]
     (note,) = search.attempts.notes()

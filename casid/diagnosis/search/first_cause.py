@@ -1,0 +1,52 @@
+"""What a first cause may be, where few effects are seen beside a random disturbance.
+
+Under the sensors' noise a large misfit shows in the scores of everything that acts where it does:
+dozens of effects are refitted, and laws that imitate the cause explain parts of it, one after the
+other. A disturbance explains the misfit of most of them as well. What is seen beside it is the
+cause, or looks like it in the records; and if the disturbance is gone with it, nothing else has to
+be refitted for the first cause.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from casid.diagnosis.evidence.baseline import Baseline
+from casid.diagnosis.evidence.prewhitening import EXACT, minus_log_likelihood
+from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.disturbance_price import as_white, is_held
+from casid.diagnosis.search.refinement import weighed_whole, whole_fit
+from casid.diagnosis.search.rounds import Search, scores_to_refit
+from casid.diagnosis.settings import DiagnosisSettings
+from casid.diagnosis.thresholds import SHORTLIST
+
+
+def seen_beside_disturbance(
+    search: Search, baseline: Baseline, settings: DiagnosisSettings
+) -> list[Candidate]:
+    """The few effects that are seen beside a disturbance, if the best of them leaves none.
+
+    None where the sensors' noise holds no misfit, where no disturbance is likelier than that noise,
+    where many effects are seen beside it, or where misfit is left to it.
+    """
+    base, start = baseline.fit, baseline.start
+    if not start.noise_absorbs_misfit or is_held(base):
+        return []
+    bare, again = search.under_disturbance(base), search.with_disturbances()
+    if minus_log_likelihood(bare) > as_white(base):
+        return []
+    settings.progress("look for effects beside a random disturbance")
+    table = again.table(bare, [])
+    if len(scores_to_refit(bare, table)) > SHORTLIST.few:
+        return []
+    found = again.refits(bare, table, [])
+    best = max(found, key=lambda c: c.merit, default=None)
+    if best is None or best.merit <= 0.0:
+        return []
+    once = replace(settings.fit, starts=1, solver=settings.fit.solver or EXACT)
+    units = base.criterion.weights
+    fit = whole_fit(best.model, baseline.split, once, units, best.fit.values)
+    _, at = weighed_whole(search.weighing, fit, once)
+    if at.noise_absorbs_misfit:
+        return []
+    return found

@@ -1,0 +1,69 @@
+"""A first cause that is seen beside a disturbance: a dead zone of a fin, without casid."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+import casid
+
+TS, N = 0.1, 1500
+B, C, K = 0.3, 0.8, 0.25
+GAP, SD = 0.1, 0.002  # rad
+LOOK = "look for effects beside a random disturbance"
+
+
+def hull() -> casid.Problem:
+    m = casid.Model("hull")
+    fin = m.input("fin", "rad", hold="zoh", known=True)
+    phi, w = m.state("phi", "rad"), m.state("w", "rad/s")
+    b = m.parameter("B", "1/s", start=0.2, lower=0.0, upper=2.0)
+    c = m.parameter("C", "1/s^2", start=1.0, lower=0.05, upper=10.0)
+    k = m.parameter("K", "1/s^2", start=0.2, lower=0.0, upper=10.0)
+    m.derivative(phi, w)
+    m.balance(w, "moment", inertia=1, terms=[-b * w, -c * phi, k * fin], unit="rad/s^2")
+    m.output("roll", phi, "rad")
+    return casid.Problem("hull", m)
+
+
+def record(waves: float = 0.0) -> casid.Record:
+    """Rolling under a slow random fin beyond its dead zone, and a moment of white waves (rad/s^2).
+
+    All of it is held over each sample: the linear hull then moves by its matrix exponential.
+    """
+    rng = np.random.default_rng(5)
+    fin = 0.2 * np.sqrt(1 - 0.95**2) * lfilter([1.0], [1.0, -0.95], rng.standard_normal(N))
+    acting = K * np.sign(fin) * np.maximum(np.abs(fin) - GAP, 0.0) + waves * rng.standard_normal(N)
+    step = expm(TS * np.array([[0.0, 1.0, 0.0], [-C, -B, 1.0], [0.0, 0.0, 0.0]]))
+    x, roll = np.zeros(2), np.empty(N)
+    for k in range(N):
+        roll[k] = x[0]
+        x = step[:2] @ [*x, acting[k]]
+    roll += SD * rng.standard_normal(N)
+    return casid.Record({"fin": fin, "roll": roll}, {"fin": "rad", "roll": "rad"}, Ts=TS)
+
+
+def diagnosed(of: casid.Record) -> tuple[casid.Diagnosis, list[str]]:
+    """The diagnosis, and what it said up to the second round of the search."""
+    said: list[str] = []
+    found = casid.diagnose(hull(), of, advise=False, progress=said.append)
+    return found, said[: said.index("test every effect (round 2)")]
+
+
+def refits(said: list[str]) -> list[str]:
+    return [s.partition(": ")[2] for s in said if s.startswith("refit ")]
+
+
+def test_what_leaves_no_disturbance_is_the_first_cause_and_nothing_else_is_refitted_for_it():
+    found, said = diagnosed(record())
+    assert [(c.kind, c.where) for c in found.causes] == [("deadzone", "fin")]
+    gap = found.causes[0].parameters[0]
+    assert abs(gap.value - GAP) < 3 * gap.std_error
+    assert set(refits(said)) == {"dead zone in fin"}
+
+
+def test_where_waves_are_left_every_effect_is_sought_under_the_noise_of_the_sensors_as_well():
+    found, said = diagnosed(record(waves=0.05))
+    assert len(refits(said[said.index("test every effect (round 1)") :])) > 6
+    assert found.causes[0].kind == "deadzone"
