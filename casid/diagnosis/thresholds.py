@@ -449,6 +449,9 @@ class References:
         "reference and output may leave: noise and saturation of the drive",
         _REFERENCES,
     )
+    exact: float = _is(
+        1e-3, "the same where the output does not follow: no more than rounding", _REFERENCES
+    )
     lags: int = _is(4, "samples of memory of that filter, beside an integral", _REFERENCES)
 
 

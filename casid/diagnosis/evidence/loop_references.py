@@ -15,6 +15,7 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.thresholds import REFERENCES
+from casid.model.effects.effect import Effect
 from casid.model.model import Model
 from casid.model.units import same_dimension
 
@@ -24,8 +25,9 @@ def loop_references(
 ) -> tuple[str, ...]:
     """Those of `channels` that are the reference of a loop around some output.
 
-    A reference has the output's dimension, the output follows it, and an input is a filtered
-    function of both, of which the output alone explains much less.
+    A reference has the output's dimension, and an input is a filtered function of both, of which
+    the output alone explains much less. The output follows the reference, unless the input is that
+    function to the last digits: behind a slow loop an output lags far.
     """
     measured = [name for name, u in model.inputs.items() if u.kind == "measured"]
     return tuple(
@@ -48,10 +50,20 @@ def _is_reference(experiment: Experiment, channel: str, output: str, name: str) 
         return False
     r, y, u = (record.filled(n) for n in names)
     apart = y - r
-    if np.var(r) <= TINY or np.var(apart) > REFERENCES.apart * np.var(r):
+    if np.var(r) <= TINY:
         return False
+    follows = np.var(apart) <= REFERENCES.apart * np.var(r)
     with_it, without = _left(u, [r, y]), _left(u, [y])
-    return bool(with_it < REFERENCES.left * min(float(np.var(u)), without))
+    most = REFERENCES.left if follows else REFERENCES.exact
+    return bool(with_it < most * min(float(np.var(u)), without))
+
+
+def acts_from(effect: Effect, references: Collection[str]) -> bool:
+    """True of an effect that lets one of these channels act, on a balance or on a sensor."""
+    if effect.kind == "cross_axis":
+        own = [p.name for p in effect.parameters]
+        return any(f"cross_{effect.where}_{name}" in own for name in references)
+    return effect.kind == "extra_input" and effect.where in references
 
 
 def _left(u: Array, signals: Sequence[Array]) -> float:

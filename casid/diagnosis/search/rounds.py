@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 from casid.diagnosis.attempts import Attempts, reason_of
 from casid.diagnosis.evidence.cogging_periods import CoggingCandidate, cogging_candidates
-from casid.diagnosis.evidence.loop_references import loop_references
+from casid.diagnosis.evidence.loop_references import acts_from, loop_references
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import (
@@ -120,7 +120,7 @@ class Search:
             e
             for e in every
             if e.key not in taken
-            and not (e.kind == "extra_input" and e.where in references)
+            and not acts_from(e, references)
             and not is_further_friction(e, adopted)
             and not drives_one_way(e, at)
         ]

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.loop_references import loop_references
+from casid.diagnosis.evidence.loop_references import acts_from, loop_references
+from casid.model.effects.balance_effects import extra_input
+from casid.model.effects.channel_effects import cross_axis
 
 Ts = 0.02
 
@@ -58,6 +60,35 @@ def cart() -> casid.Model:
 def test_the_reference_is_found_and_what_drives_nothing_is_not(dry):
     data = casid.Experiment(rail(dry=dry), {}, "rail")
     assert loop_references([data], cart(), ("x_ref", "aside")) == ("x_ref",)
+
+
+def test_a_reference_that_the_output_follows_from_afar_is_one_too():
+    """A drive of 20 N/m, 4 N s/m of drag: the output lags a reference of 7 rad/s by more than its
+    size, and the drive is an exact function of both, rounded to a newton in a thousand."""
+    rng, N = np.random.default_rng(4), 1500
+    t = Ts * np.arange(N)
+    r, aside = 0.3 * np.sin(7.0 * t) + 0.1 * np.sin(4.0 * t), 0.2 * np.cos(6.5 * t)
+    x = v = 0.0
+    rows = np.empty((N, 2))
+    for i in range(N):
+        seen = x + 1e-4 * rng.standard_normal()
+        rows[i] = seen, round(20.0 * (r[i] - seen), 3)
+        for _ in range(20):
+            v += Ts / 20 * (rows[i, 1] - 4.0 * v) / 2.0
+            x += Ts / 20 * v
+    channels = {"x": rows[:, 0], "F": rows[:, 1], "x_ref": r, "aside": aside}
+    assert np.var(rows[:, 0] - r) > np.var(r)
+    units = {"x": "m", "F": "N", "x_ref": "m", "aside": "m"}
+    data = casid.Experiment(casid.Record(channels, units, Ts=Ts, name="slow"), {}, "slow")
+    assert loop_references([data], cart(), ("x_ref", "aside")) == ("x_ref",)
+
+
+def test_a_reference_acts_neither_on_the_balance_nor_on_the_sensor():
+    m = cart()
+    for name, is_reference in (("x_ref", True), ("aside", False)):
+        of_sensor, of_balance = cross_axis(m, "x", name, "m"), extra_input(m, "force", name, "m")
+        assert acts_from(of_sensor, ("x_ref",)) == is_reference
+        assert acts_from(of_balance, ("x_ref",)) == is_reference
 
 
 def test_without_a_loop_no_channel_is_a_reference():
