@@ -16,6 +16,7 @@ from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
 from casid.diagnosis.verdict.error_bars import bars_of, unknown_sizes
+from casid.diagnosis.verdict.exact_constants import exact_constants
 from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
@@ -387,6 +388,8 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         "not an input of its own"
         for channel in search.references or ()
     ]
+    if judged.verdict == "deficient":
+        notes += exact_constants(problem.model)
     notes += refusal_notes(search.refused, judged.causes)
     notes += [why for why in search.refitting.left_out.values() if why]
     return (*notes, *search.attempts.notes())
