@@ -29,14 +29,14 @@ def loop_references(
     the output alone explains much less. The output follows the reference, unless the input is that
     function to the last digits: behind a slow loop an output lags far.
     """
-    measured = [name for name, u in model.inputs.items() if u.kind == "measured"]
+    recorded = [name for name, u in model.inputs.items() if u.kind in ("measured", "known")]
     return tuple(
         channel
         for channel in channels
         if any(
             all(_is_reference(e, channel, output, name) for e in experiments)
             for output in model.outputs
-            for name in measured
+            for name in recorded
         )
     )
 
