@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casid.model.units import describe_dimension, parse_unit
+from casid.model.units import describe_dimension, parse_unit, unit_of_dimension
 
 Dimension = tuple[Fraction, ...] | None  # None: whatever fits
 _ONE: tuple[Fraction, ...] = (Fraction(0),) * 7
@@ -26,7 +26,44 @@ _FREE = {"OP_SIGN", "OP_NOT", "OP_AND", "OP_OR"}
 
 
 class DimensionMismatch(Exception):
-    """An expression adds, compares or takes a function of unlike quantities."""
+    """An expression adds, compares or takes a function of unlike quantities.
+
+    Attributes
+    ----------
+    remedy : where one of them is a bare number.
+    """
+
+    def __init__(self, message: str, remedy: str = "") -> None:
+        super().__init__(message)
+        self.remedy = remedy
+
+
+_PAIRED = {
+    **{name: "adds {} to {}" for name in ("OP_ADD", "OP_SUB", "OP_HYPOT")},
+    "OP_FMIN": "takes the minimum of {} and {}",
+    "OP_FMAX": "takes the maximum of {} and {}",
+    "OP_ATAN2": "takes atan2 of {} and {}",
+    **{name: "compares {} with {}" for name in _COMPARE},
+}
+"""Operations on two quantities of one dimension, as they are described."""
+
+
+def _require_like(op: str, sides: list[Dimension], numbers: list[float | None]) -> None:
+    a, b = sides
+    if a is None or b is None or a == b:
+        return
+    shown = [
+        dimension_text(d) if n is None else f"the bare number {n:g}"
+        for d, n in zip(sides, numbers, strict=True)
+    ]
+    bare, other = (numbers[0], b) if numbers[1] is None else (numbers[1], a)
+    remedy = ""
+    if bare is not None:
+        remedy = (
+            "a bare number is dimensionless: give it the unit that it is meant in, "
+            f'm.constant("name", {bare:g}, "{unit_of_dimension(other)}")'
+        )
+    raise DimensionMismatch(_PAIRED[op].format(*shown), remedy)
 
 
 def _ops() -> dict[int, str]:
@@ -90,12 +127,10 @@ def _apply(op: str, args: list[Dimension], values: list[float | None]) -> Dimens
     a = args[0]
     b = args[1] if len(args) > 1 else None
     if op in _SAME:
-        if a is not None and b is not None and a != b:
-            raise DimensionMismatch(f"adds {dimension_text(a)} to {dimension_text(b)}")
+        _require_like(op, args, values)
         return a if a is not None else b
     if op in _COMPARE:
-        if a is not None and b is not None and a != b:
-            raise DimensionMismatch(f"compares {dimension_text(a)} with {dimension_text(b)}")
+        _require_like(op, args, values)
         return _ONE
     if op in _KEEP:
         return a
@@ -124,8 +159,7 @@ def _apply(op: str, args: list[Dimension], values: list[float | None]) -> Dimens
     if op == "OP_COPYSIGN":
         return a
     if op == "OP_ATAN2":
-        if a is not None and b is not None and a != b:
-            raise DimensionMismatch(f"takes atan2 of {dimension_text(a)} and {dimension_text(b)}")
+        _require_like(op, args, values)
         return _ONE
     # sin, exp, tanh ... take numbers and give numbers.
     for d in args:

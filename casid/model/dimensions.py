@@ -13,6 +13,7 @@ from casid.model.dimensional_analysis import (
     dimension_of,
     dimension_text,
 )
+from casid.model.formula_text import shown_text
 from casid.model.model import Model
 from casid.model.units import parse_unit
 
@@ -31,9 +32,10 @@ def check_units(model: Model) -> None:
         try:
             return dimension_of(expression, ca.symvar(ca.SX(expression)), units)
         except DimensionMismatch as error:
+            symbols = ", ".join(f"{s.name()} [{units[s.name()]}]" for s in ca.symvar(expression))
+            remedy = error.remedy or f"check the units of its symbols ({symbols})"
             raise ModelError(
-                f"{model.name}: {place} {error}: {expression}; check the units of its symbols "
-                f"({', '.join(f'{s.name()} [{units[s.name()]}]' for s in ca.symvar(expression))})"
+                f"{model.name}: {place} {error}: {shown_text(expression)}; {remedy}"
             ) from None
 
     def require(expression: Any, unit: str, place: str) -> None:
@@ -42,8 +44,8 @@ def check_units(model: Model) -> None:
         if found is not None and found != wanted:
             raise ModelError(
                 f"{model.name}: {place} is in {dimension_text(found)}, but should be in {unit} "
-                f"({dimension_text(wanted)}): {expression}; correct the expression or a declared "
-                "unit"
+                f"({dimension_text(wanted)}): {shown_text(expression)}; correct the expression or "
+                "a declared unit"
             )
 
     for name, balance in model.balances.items():

@@ -18,6 +18,9 @@ from casid.errors import ModelError
 
 Expr = Any  # a CasADi SX expression
 
+_SHOWN = 400
+"""Characters of an expression in a message; a longer one is cut in its middle."""
+
 _SUM, _PRODUCT, _SIGN, _POWER, _ATOM = 1, 2, 3, 4, 5  # how strongly a text holds together
 
 _UNARY = {
@@ -146,6 +149,18 @@ def formula_text(
         If the notation has no word for an operation.
     """
     return _Writer(notation, names or {}, parts or {}).text(ca.SX(expression)).text
+
+
+def shown_text(expression: Expr) -> str:
+    """One scalar expression as text for a message: every part where it stands, as written.
+
+    CasADi itself prints a part that occurs twice as `@1`, with its definition in front.
+    """
+    try:
+        text = formula_text(expression)
+    except ModelError:  # an operation without a word
+        return str(expression)
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN // 2]} ... {text[-_SHOWN // 2 :]}"
 
 
 def summands(expression: Expr) -> list[Expr]:

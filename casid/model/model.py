@@ -30,6 +30,7 @@ from casid.model.declared_units import (
     si_text,
 )
 from casid.model.explicit_form import Explicit, check_branch, solved_for
+from casid.model.formula_text import shown_text
 from casid.model.named_quantities import NamedQuantities
 from casid.model.quantities import count_text
 from casid.model.serialisation import packed, unpacked
@@ -415,10 +416,10 @@ class Model(NamedQuantities, Viewed):
     def __str__(self) -> str:
         lines = [repr(self)]
         for b in self.balances.values():
-            terms = " + ".join(f"({t})" for t in b.terms)
-            lines.append(f"  {b.name}: ({b.inertia}) d{b.rate}/dt = {terms}   [{b.unit}]")
-        lines += [f"  d{s}/dt = {e}" for s, e in self._rates.items()]
-        lines += [f"  {name} = {e}   [{unit}]" for name, (e, unit) in self.outputs.items()]
+            terms = " + ".join(f"({shown_text(t)})" for t in b.terms)
+            lines.append(f"  {b.name}: ({shown_text(b.inertia)}) d{b.rate}/dt = {terms} [{b.unit}]")
+        lines += [f"  d{s}/dt = {shown_text(e)}" for s, e in self._rates.items()]
+        lines += [f"  {n} = {shown_text(e)}   [{unit}]" for n, (e, unit) in self.outputs.items()]
         lines += [f"  {w} eliminated using {y}" for w, y, _ in self._eliminations]
         return "\n".join(lines)
 

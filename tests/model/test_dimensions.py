@@ -101,6 +101,34 @@ def test_a_slip_in_the_units_is_refused_with_its_place(build, what):
         check_units(build())
 
 
+def valve(least, of_c="m^3/(s Pa)"):
+    """A flow that follows the square root of a pressure, which stands twice in its balance."""
+    m = Model("valve")
+    p = m.state("p", "Pa")
+    C, c = m.parameter("C", "m^3/Pa"), m.parameter("c", of_c)
+    kept = ca.fmax(p, least)
+    m.balance(p, "flow", inertia=C, terms=[-c * kept * kept / (kept + p)], unit="m^3/s")
+    m.output("pressure", p, "Pa")
+    return m
+
+
+def test_a_bare_number_beside_a_pressure_is_named_with_the_way_to_give_it_a_unit():
+    remedy = (
+        r"term 1 of balance 'flow' takes the maximum of kg/\(m s\^2\) and the bare number 1000: "
+        r".*; a bare number is dimensionless.*m.constant\(\"name\", 1000, \"Pa\"\)"
+    )
+    with pytest.raises(ModelError, match=remedy) as refused:
+        check_units(valve(1e3))
+    assert "max(p, 1000) + p" in str(refused.value)
+
+
+def test_messages_show_an_expression_whole_where_a_part_stands_in_it_twice():
+    """CasADi prints such a part as @1, which is none of the user's names."""
+    assert "max(p, 0) ^ 2 / (max(p, 0) + p)" in str(valve(0.0))
+    with pytest.raises(ModelError, match=r"max\(p, 0\) \^ 2 / \(max\(p, 0\) \+ p\); correct"):
+        check_units(valve(0.0, of_c="m^3/s"))
+
+
 def test_a_slip_in_an_eliminating_output_is_refused():
     m = Model("cart")
     v, w = m.state("v", "m/s"), m.unknown_input("w", "N")
