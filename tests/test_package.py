@@ -59,8 +59,8 @@ __main__: cli
 
 # Modules right below casid, of the standard library and NumPy alone, that every package may use.
 GROUND = set(
-    "arrays compiler deprecation diagnosing errors exportable pickling presentation versions"
-    " grouping threshold_table time_limit whole_files".split()
+    "argument_types arrays compiler deprecation diagnosing errors exportable pickling presentation"
+    " versions grouping threshold_table time_limit whole_files".split()
 )
 
 

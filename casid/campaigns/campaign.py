@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.campaigns.batches import UNLOADABLE, Done, Function, run_batch
 from casid.campaigns.batches import run_seed as run_seed
@@ -111,6 +112,7 @@ class Campaign:
         return "\n".join(lines)
 
 
+@names_wrong_types()
 def campaign(
     function: Function,
     runs: int,

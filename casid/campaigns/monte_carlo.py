@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.campaigns.accuracy import ENDS, STD_ERROR, Accuracy, accuracy
 from casid.campaigns.campaign import Campaign, campaign
@@ -293,6 +294,7 @@ class Study:
         return replace(experiment, record=record.between(record.t0, record.t0 + self.duration))
 
 
+@names_wrong_types()
 def montecarlo(
     problem: Problem | str | Path,
     *,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, FloatArray
 from casid.data.fir_filter import anti_alias
 from casid.data.record import Record
@@ -118,6 +119,7 @@ class Alignment:
         )
 
 
+@names_wrong_types()
 def align(
     record: Record,
     other: Record,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -69,6 +69,8 @@ def experiments_of(
     else:
         alone = isinstance(experiments, Record | Experiment) or is_frame(experiments)
         given: Any = [experiments] if alone else experiments
+        if isinstance(given, str) or not isinstance(given, Iterable):
+            given = [given]
         chosen = [_experiment(problem, e) for e in given]
     if not chosen:
         raise DataError("no record given; name at least one")
@@ -84,4 +86,11 @@ def experiments_of(
 def _experiment(problem: Problem, given: Recorded) -> Experiment:
     if isinstance(given, Experiment):
         return given
-    return problem.experiment(given) if isinstance(given, Record) else problem.read_frame(given)
+    if isinstance(given, Record):
+        return problem.experiment(given)
+    if not is_frame(given):
+        raise DataError(
+            f"{given!r} is no record; give one that casid.read_record(path) or "
+            "Problem.read(path) returns, a casid.Record of arrays, or a pandas DataFrame"
+        )
+    return problem.read_frame(given)

@@ -13,12 +13,14 @@ from types import MappingProxyType
 
 import numpy as np
 
+from casid.argument_types import methods_name_wrong_types
 from casid.arrays import FloatArray
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.pickling import PickledByFields
 
 
+@methods_name_wrong_types()
 @dataclass(frozen=True, slots=True, eq=False)
 class Derived(PickledByFields):
     """How a channel is computed from others of the same record.

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from casid.argument_types import methods_name_wrong_types
 from casid.arrays import Array, BoolArray
 from casid.data.record import Record
 from casid.errors import DataError
@@ -37,6 +38,7 @@ class NoiseSizes:
         return np.asarray(np.interp(t, self.t, self.relative))
 
 
+@methods_name_wrong_types()
 @dataclass(frozen=True, slots=True, eq=False)
 class Experiment(Viewed, PickledByFields):
     """A record with its load case.

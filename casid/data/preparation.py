@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import FloatArray
 from casid.data.fir_filter import Edges, anti_alias, equiripple
 from casid.data.record import Record
 from casid.errors import DataError
 
 
+@names_wrong_types()
 def lowpass(
     record: Record,
     cutoff_hz: float = 0.5,
@@ -35,6 +37,7 @@ def lowpass(
     return equiripple(cutoff_hz, record.Ts, stop_hz=stop_hz, order=order).apply(record, edges=edges)
 
 
+@names_wrong_types()
 def decimate(record: Record, factor: int, *, edges: Edges = "trim") -> Record:
     """Keep every `factor`-th sample behind a zero-phase anti-alias filter, on all channels.
 
@@ -71,6 +74,7 @@ def decimate(record: Record, factor: int, *, edges: Edges = "trim") -> Record:
     )
 
 
+@names_wrong_types()
 def detrend(record: Record, order: int = 0) -> Record:
     """Subtract the mean (order 0) or the least-squares straight line (order 1) of every channel.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from casid.argument_types import methods_name_wrong_types, names_wrong_types
 from casid.data.derived import Derived, derive
 from casid.data.experiment import Experiment
 from casid.data.external_signals import external_signals
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from casid.model.effects.user_effects import UserEffect
 
 
+@methods_name_wrong_types(ModelError)
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem(Viewed):
     """What a file in `problems/` defines and every command takes.
@@ -460,6 +462,7 @@ def _read_again(given: Mapping[str, Any]) -> Problem:
     return Problem(**given, **functions)
 
 
+@names_wrong_types()
 def load_problem(path: str | Path) -> Problem:
     """The `problem` that a Python file defines; the file runs as the user who calls this.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import FloatArray
 from casid.data.channel_quality import ChannelCheck, channel_quality
 from casid.data.findings import Finding
@@ -91,6 +92,7 @@ class CheckReport(Presented):
         return f"<CheckReport {self.name}: {', '.join(counts)}>"
 
 
+@names_wrong_types()
 def check(
     data: Record | str | Path,
     columns: Columns | None = None,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casid.argument_types import methods_name_wrong_types
 from casid.arrays import BoolArray, FloatArray
 from casid.data.record_methods import RecordMethods
 from casid.errors import DataError
@@ -20,6 +21,7 @@ from casid.pickling import PickledByFields
 from casid.presentation import Presented
 
 
+@methods_name_wrong_types()
 @dataclass(frozen=True, slots=True, eq=False)
 class Record(RecordMethods, Presented, PickledByFields):
     """One experiment, sampled uniformly; immutable, every change gives a new record.

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.data.arguments import Recorded, experiments_of, in_si
 from casid.data.problem import Problem
 from casid.diagnosis.advice.recommendation import recommend
@@ -56,6 +57,7 @@ SOURCES = (
 """Papers behind the methods of a diagnosis."""
 
 
+@names_wrong_types()
 def diagnose(
     problem: Problem,
     experiments: Sequence[Recorded] | Recorded | None = None,

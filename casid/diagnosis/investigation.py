@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
+from casid.argument_types import names_wrong_types
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
@@ -96,6 +97,7 @@ class Investigation(Presented):
         return folder
 
 
+@names_wrong_types()
 def investigate(
     problem: Problem,
     records: Sequence[Record | Experiment],

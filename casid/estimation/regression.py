@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.errors import IdentifiabilityError, ModelError, SolveError
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.regression_estimate import Attempt, Optimum, RegressionEstimate, Residuals
@@ -23,6 +24,7 @@ from casid.estimation.regression_problem import RegressionProblem
 HESSIANS = ("exact", "gauss-newton")
 
 
+@names_wrong_types()
 def regress(
     model: str | tuple[Any, Any],
     data: Mapping[str, Any],

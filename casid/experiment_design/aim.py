@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from casid.argument_types import methods_name_wrong_types
 from casid.errors import DataError
 from casid.experiment_design.thresholds import DESIGN
 
@@ -12,6 +13,7 @@ Kind = Literal["estimate", "separate", "detect", "identifiable"]
 OPTIMALITY = ("D", "A", "E")
 
 
+@methods_name_wrong_types()
 @dataclass(frozen=True, slots=True)
 class Aim:
     """What a designed experiment is for; made by one of the methods below.

@@ -9,6 +9,7 @@ from typing import Any, Unpack, cast
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.data.files import plain_fields
 from casid.errors import DataError, SolveError, nearest
@@ -49,6 +50,7 @@ from casid.model.units import from_si
 from casid.versions import versions
 
 
+@names_wrong_types()
 def design_experiment(
     source: Source,
     aim: Aim,

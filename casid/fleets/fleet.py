@@ -11,6 +11,7 @@ from typing import Any, ClassVar, TypedDict, Unpack
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.campaigns.campaign import campaign
 from casid.campaigns.manifest import read_manifest
 from casid.campaigns.parquet_parts import explained
@@ -217,6 +218,7 @@ class FleetOptions(TypedDict, total=False):
     ignore: Iterable[str]
 
 
+@names_wrong_types()
 def fleet(
     problem: Problem | str | Path,
     records: str | Path | Iterable[str | Path],

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from casid.argument_types import names_wrong_types
 from casid.data.problem import Problem
 from casid.errors import CasidError, DataError, IdentifiabilityError
 from casid.identifiability.answers import answer_of, by_class, by_excitation
@@ -54,6 +55,7 @@ MAX_EXCLUDED = 12
 """Up to so many parameters, every subset is examined (`Assessment.exclusions`)."""
 
 
+@names_wrong_types()
 def assess_identifiability(
     subject: str | Path | Problem | Model | EquationFile | System | Sequence[System],
     experiments: Sequence[Experiment | Record] | None = None,

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import SolveError
 from casid.estimation.moments.long_run_covariance import memory
@@ -47,6 +48,7 @@ class Bootstrap:
         return float(low), float(high)
 
 
+@names_wrong_types()
 def bootstrap(estimate: MomentEstimate, *, runs: int = 500, seed: int = 0) -> Bootstrap:
     """Estimate again from moments whose noise is resampled in blocks, all stages in turn.
 

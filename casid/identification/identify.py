@@ -8,6 +8,7 @@ from functools import cache, partial
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.data.arguments import Recorded, in_si, problem_of
 from casid.data.experiment import Experiment
@@ -66,6 +67,7 @@ UNFINISHED = "the fit was not finished: no standard errors"
 """What the errors of the best point of a fit without end assume."""
 
 
+@names_wrong_types()
 def identify(
     problem: Problem | Model,
     experiments: Sequence[Recorded] | Recorded | None = None,

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.estimation.moments.moment_covariance import (
@@ -134,6 +135,7 @@ class _Profiled:
         return float(solution.value)
 
 
+@names_wrong_types()
 def profile(estimate: MomentEstimate, name: str, *, level: float = 0.95) -> Profile:
     """Invert the test of one parameter: an interval that covers however curved the map is.
 

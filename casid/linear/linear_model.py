@@ -22,6 +22,7 @@ import numpy as np
 
 from casid.algebra.leverrier import faddeev_leverrier
 from casid.algebra.vanishing import float_points, remove_zeros
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import ModelError, nearest
 from casid.linear.common_denominator import (
@@ -204,6 +205,7 @@ class TransferMatrix(CommonDenominator, Presented):
         )
 
 
+@names_wrong_types()
 def linearise(
     model: Model,
     *,

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 import casadi as ca
 import numpy as np
 
+from casid.argument_types import methods_name_wrong_types
 from casid.errors import ModelError
 
 Expr = Any  # a CasADi SX expression, or a number where one is meant
@@ -17,6 +18,39 @@ HOLDS: tuple[Hold, ...] = get_args(Hold)
 """What a recorded signal may do between its samples."""
 
 
+def expression_of(where: str, given: Any) -> Expr:
+    """What a user gives for an expression, as an SX expression.
+
+    Raises
+    ------
+    ModelError
+        If it is neither a number nor made of the symbols of a model.
+    """
+    try:
+        return ca.SX(given)
+    except (NotImplementedError, TypeError):
+        raise ModelError(
+            f"{where} {given!r} is no expression; give a number, or one of the symbols that "
+            "Model.state, Model.input and Model.parameter return"
+        ) from None
+
+
+def symbol_name(where: str, given: Any) -> str:
+    """The name of a symbol, which is given as it is or by its name.
+
+    Raises
+    ------
+    ModelError
+        If it is neither.
+    """
+    if isinstance(given, ca.SX) and given.is_symbolic():
+        return str(given.name())
+    if not isinstance(given, str):
+        raise ModelError(f"{where} is given as {given!r}; give its symbol or its name")
+    return given
+
+
+@methods_name_wrong_types(ModelError)
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """A physical parameter: unknown with a start and bounds, or known with a value (SI units).

@@ -17,12 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import casadi as ca
 
+from casid.argument_types import methods_name_wrong_types
 from casid.errors import ModelError, nearest, require_texts
-from casid.model.declarations import Balance, Expr, Input, Stage
+from casid.model.declarations import Balance, Expr, Input, Stage, expression_of, symbol_name
 from casid.model.declared_units import (
     common_unit,
     rate_in_own_unit,
@@ -38,6 +39,7 @@ from casid.model.units import is_si, same_dimension
 from casid.presentation import Viewed
 
 
+@runtime_checkable
 class Extension(Protocol):
     """What a model can be extended with: a `casid.Effect`."""
 
@@ -61,6 +63,7 @@ class _Measured:
     output_place: int
 
 
+@methods_name_wrong_types(ModelError)
 class Model(NamedQuantities, Viewed):
     """A physical model under construction.
 
@@ -96,7 +99,7 @@ class Model(NamedQuantities, Viewed):
         """State that d(state)/dt = expression."""
         name = self._state_name(state)
         self._once(name)
-        self._rates[name] = ca.SX(expression)
+        self._rates[name] = expression_of(f"{self.name}: the derivative of {name},", expression)
         self._explicit = None
 
     def balance(
@@ -119,13 +122,15 @@ class Model(NamedQuantities, Viewed):
         require_texts(f"{self.name}: balance {name!r}", name=[name])
         if name in self.balances:
             raise ModelError(f"{self.name}: balance {name!r} stated twice; give it another name")
-        terms = tuple(ca.SX(t) for t in terms)
-        si = self._balance_unit(state, ca.SX(inertia), terms) if unit is None else si_text(unit)
+        where = f"{self.name}: balance {name!r}:"
+        terms = tuple(expression_of(f"{where} the term", t) for t in terms)
+        inertia = expression_of(f"{where} the inertia", inertia)
+        si = self._balance_unit(state, inertia, terms) if unit is None else si_text(unit)
         shown = self._unit_of_signal(terms, si) if unit is None else unit
         if unit is None and shown == si:
             shown = rate_in_own_unit(self.unit_of(state), si)
         declared = "" if is_si(shown) else shown
-        self.balances[name] = Balance(name, state, ca.SX(inertia), terms, si, declared)
+        self.balances[name] = Balance(name, state, inertia, terms, si, declared)
         self._explicit = None
 
     def output(self, name: str, expression: Expr, unit: str) -> Any:
@@ -141,7 +146,7 @@ class Model(NamedQuantities, Viewed):
         require_texts(f"{self.name}: output {name!r}", name=[name])
         if name in self.outputs or name in self.inputs:
             raise ModelError(f"{self.name}: channel {name!r} declared twice; give it another name")
-        expression = ca.SX(expression)
+        expression = expression_of(f"{self.name}: output {name!r}:", expression)
         refuse_conversion(self.name, name, expression, unit)
         self.outputs[name] = (expression, self._remember_unit(name, unit))
         self._explicit = None
@@ -163,7 +168,7 @@ class Model(NamedQuantities, Viewed):
 
         Source: Linder (2017), sections 4.2 and 7.3, (7.24) for the pendulum.
         """
-        name = unknown if isinstance(unknown, str) else unknown.name()
+        name = symbol_name(f"{self.name}: unknown input", unknown)
         if name not in self.inputs or self.inputs[name].kind != "unknown":
             raise ModelError(
                 f"{self.name}: {name!r} is not an unknown input; declare it with unknown_input"

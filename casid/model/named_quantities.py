@@ -13,13 +13,15 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from casid.argument_types import methods_name_wrong_types
 from casid.errors import ModelError, nearest, require_texts
-from casid.model.declarations import HOLDS, Expr, Hold, Input, Parameter, State
+from casid.model.declarations import HOLDS, Expr, Hold, Input, Parameter, State, symbol_name
 from casid.model.declared_units import numbers_in_si, quantity_of, si_text
 from casid.model.explicit_form import Explicit
 from casid.model.units import difference_from_si, from_si, is_si, to_si, unit_quotient
 
 
+@methods_name_wrong_types(ModelError)
 class NamedQuantities:
     """States, inputs and parameters with their symbols and units, and numbers in those units."""
 
@@ -234,9 +236,9 @@ class NamedQuantities:
         return si_text(unit)
 
     def _state_name(self, state: Any) -> str:
-        name = state if isinstance(state, str) else state.name()
+        name = symbol_name(f"{self.name}: state", state)
         if name not in self.states:
             raise ModelError(
                 f"{self.name}: {name!r} is not a state; states are {', '.join(self.states)}"
             )
-        return str(name)
+        return name

@@ -8,12 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from casid.argument_types import methods_name_wrong_types
 from casid.errors import DataError
 
 Dates = Literal["dmy", "mdy", "ymd"]
 ORDERS = ("dmy", "mdy", "ymd")
 
 
+@methods_name_wrong_types()
 @dataclass(frozen=True, slots=True)
 class FileFormat:
     """How a file is written; what is not given is read from the file, and refused where it is open.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from casid.argument_types import names_wrong_types
 from casid.data.reading.columns import Columns, Time
 from casid.data.reading.faults import Survey
 from casid.data.reading.file_format import FileFormat
@@ -15,6 +16,7 @@ from casid.data.record import Record
 from casid.errors import DataError, UnitError
 
 
+@names_wrong_types()
 def read_record(
     path: str | Path,
     columns: Columns | None = None,

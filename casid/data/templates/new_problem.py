@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from casid.argument_types import names_wrong_types
 from casid.data.files import write_text
 from casid.data.reading.columns import ColumnSpec, clock_and_unit
 from casid.data.reading.file_format import FileFormat
@@ -99,6 +100,7 @@ class NewProblem:
         return "\n".join([*lines, "next:", *(f"  {command}" for command in self.commands)])
 
 
+@names_wrong_types()
 def new_problem(
     data: str | Path,
     template: str = "free",

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.errors import DataError, SolveError
@@ -80,6 +81,7 @@ class Validation(Presented):
         return f"<Validation {fits}>"
 
 
+@names_wrong_types()
 def validate(
     model: Model,
     values: Mapping[str, float],

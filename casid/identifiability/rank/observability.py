@@ -19,6 +19,7 @@ import numpy as np
 
 from casid.algebra.prime_field import echelon, random_prime, to_field
 from casid.algebra.row_basis import Basis, leading, padded
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.identifiability.equations.system import System
@@ -40,6 +41,7 @@ MAX_KINKS = 4
 """Up to so many kinks (abs, sign) in one experiment, every choice of sides is evaluated."""
 
 
+@names_wrong_types()
 def observability(
     systems: System | Sequence[System],
     *,

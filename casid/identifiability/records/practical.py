@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.errors import IdentifiabilityError
@@ -42,6 +43,7 @@ from casid.model.model import Model
 __all__ = ["Direction", "Practical", "Row", "practical_identifiability"]
 
 
+@names_wrong_types()
 def practical_identifiability(
     problem: Problem | Model,
     experiments: Experiments = None,

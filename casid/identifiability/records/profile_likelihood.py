@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.data.arguments import in_si, problem_of
 from casid.data.problem import Problem
@@ -41,6 +42,7 @@ __all__ = ["ProfileLikelihood", "Profiles", "profile_likelihood"]
 _FLAT = 1e-3  # of the threshold
 
 
+@names_wrong_types()
 def profile_likelihood(
     problem: Problem | Model,
     experiments: Experiments = None,

@@ -18,6 +18,7 @@ from typing import Any, Required, TypedDict, Unpack
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.declarations import Input, Parameter
 from casid.model.declared_units import numbers_in_si
@@ -87,6 +88,7 @@ class _Options:
     description: str = ""
 
 
+@names_wrong_types()
 def balance_effect(
     kind: str, balance: str, term: Formula, **options: Unpack[EffectOptions]
 ) -> Effect:
@@ -113,6 +115,7 @@ def balance_effect(
     return _effect(kind, balance, change, 0.0, _Options(**options))
 
 
+@names_wrong_types()
 def parameter_effect(
     kind: str,
     replaced: str,
@@ -138,6 +141,7 @@ def parameter_effect(
     return _effect(kind, replaced, change, null, _Options(**options))
 
 
+@names_wrong_types()
 def channel_effect(
     kind: str,
     channel: str,
