@@ -15,7 +15,6 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.thresholds import REFERENCES
-from casid.model.effects.effect import Effect
 from casid.model.model import Model
 from casid.model.units import same_dimension
 
@@ -56,14 +55,6 @@ def _is_reference(experiment: Experiment, channel: str, output: str, name: str) 
     with_it, without = _left(u, [r, y]), _left(u, [y])
     most = REFERENCES.left if follows else REFERENCES.exact
     return bool(with_it < most * min(float(np.var(u)), without))
-
-
-def acts_from(effect: Effect, references: Collection[str]) -> bool:
-    """True of an effect that lets one of these channels act, on a balance or on a sensor."""
-    if effect.kind == "cross_axis":
-        own = [p.name for p in effect.parameters]
-        return any(f"cross_{effect.where}_{name}" in own for name in references)
-    return effect.kind == "extra_input" and effect.where in references
 
 
 def _left(u: Array, signals: Sequence[Array]) -> float:

@@ -26,8 +26,9 @@ def is_noise_alone(at: Weighted, search: Search) -> bool:
 
 def tested_residual(at: Weighted, search: Search, level: float) -> ResidualTests:
     """The residual's tests; those of the last model requested are kept."""
-    if search.tested is None or search.tested[0] is not at:
+    memory = search.memory
+    if memory.tested is None or memory.tested[0] is not at:
         of = search.weighing
         found = residual_tests(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
-        search.tested = at, found
-    return search.tested[1].at_level(level)
+        memory.tested = at, found
+    return memory.tested[1].at_level(level)

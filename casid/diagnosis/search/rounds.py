@@ -16,9 +16,8 @@ from scipy.stats import norm
 
 from casid.diagnosis.attempts import Attempts, reason_of
 from casid.diagnosis.evidence.cogging_periods import CoggingCandidate, cogging_candidates
-from casid.diagnosis.evidence.loop_references import acts_from, loop_references
+from casid.diagnosis.evidence.loop_references import loop_references
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
-from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import (
     Score,
     ScoreTable,
@@ -39,6 +38,7 @@ from casid.diagnosis.search.imitations import (
 )
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
+from casid.diagnosis.search.memory import Memory
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.search.swinging_parts import beside_lines
 from casid.diagnosis.search.temporary_changes import temporary_changes
@@ -67,14 +67,12 @@ class Search:
     progress: Progress = lambda _: None
     effects: Sequence[UserEffect] = ()  # the user's own
     without: Collection[str] = ()  # kinds left out
-    tested: tuple[Weighted, ResidualTests] | None = None  # the last model whose residual was tested
     first_table: ScoreTable | None = None
     first_candidates: list[Candidate] = field(default_factory=list)
     refused: list[tuple[Candidate, str]] = field(default_factory=list)
     attempts: Attempts = field(default_factory=Attempts)
-    references: tuple[str, ...] | None = None  # of a control loop, among `recorded`
+    memory: Memory = field(default_factory=Memory)
     refitting: Refitting = field(init=False)
-    disturbed: dict[Fit, Weighted] = field(default_factory=dict)  # by identity
 
     def __post_init__(self) -> None:
         self.refitting = Refitting(self.weighing, attempts=self.attempts)
@@ -95,32 +93,38 @@ class Search:
     def with_disturbances(self) -> Search:
         """The search in which disturbances with spectra of their own count as noise."""
         weighing = self.weighing.with_disturbances()
-        return replace(self, weighing=weighing, tested=None, refused=[])
+        return replace(self, weighing=weighing, refused=[])
 
     def under_disturbance(self, fit: Fit) -> Weighted:
         """The model of a fit under the disturbances that its residual shows; sought once a fit."""
-        if fit not in self.disturbed:
+        disturbed = self.memory.disturbed
+        if fit not in disturbed:
             weighing = self.weighing.with_disturbances()
-            self.disturbed[fit] = weighing.weigh(fit.criterion.model, fit, rounds=1)
-        return self.disturbed[fit]
+            disturbed[fit] = weighing.weigh(fit.criterion.model, fit, rounds=1)
+        return disturbed[fit]
 
     def table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:
-        """Score every effect not adopted yet."""
+        """The scores of every effect not adopted yet; computed once a model."""
+        of, tables = (at, tuple(adopted)), self.memory.tables
+        if of not in tables:
+            tables[of] = self._table(at, adopted)
+        return tables[of]
+
+    def _table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:
         taken = {c.effect.key for c in adopted}
-        sizes = sizes_of(at, self.recorded)
+        recorded = self._free_channels(at.model)
+        sizes = sizes_of(at, recorded)
         every = catalogue(
             at.model,
             sizes,
-            self.recorded,
+            recorded,
             extra=user_effects(at.model, self.effects),
             without=self.without,
         )
-        references = self._references(at.model)
         effects = [
             e
             for e in every
             if e.key not in taken
-            and not acts_from(e, references)
             and not is_further_friction(e, adopted)
             and not drives_one_way(e, at)
         ]
@@ -197,12 +201,12 @@ class Search:
                     waiting += [part[half:], part[:half]]
         return working
 
-    def _references(self, model: Model) -> tuple[str, ...]:
-        """Recorded channels that drive an input in a closed loop: no inputs of their own."""
-        if self.references is None:
-            of = self.weighing.experiments
-            self.references = loop_references(of, model, self.recorded)
-        return self.references
+    def _free_channels(self, model: Model) -> dict[str, str]:
+        """The recorded channels that may act by themselves: references of a loop do not."""
+        memory = self.memory
+        if memory.references is None:
+            memory.references = loop_references(self.weighing.experiments, model, self.recorded)
+        return {c: unit for c, unit in self.recorded.items() if c not in memory.references}
 
     def misfit_passes_for_noise(self, at: Weighted) -> bool:
         """True if gains under the noise of `at` are no likelihoods by which a law is rejected."""
@@ -240,10 +244,22 @@ class Search:
     def refits(
         self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
     ) -> list[Candidate]:
-        """The shortlist, refitted one after the other as far as there is time, placed in time."""
+        """The shortlist, refitted one after the other as far as there is time, placed in time.
+
+        Computed once a model, unless there was no time for all.
+        """
+        of, kept = (at, tuple(adopted)), self.memory.refits
+        if of in kept:
+            return list(kept[of])
+        found = self._refits(at, scores_to_refit(at, table))
+        found = placed(self.refitting, at, found, events_of(adopted), self.progress)
+        if not self.attempts.not_done:
+            kept[of] = found
+        return list(found)
+
+    def _refits(self, at: Weighted, scores: Sequence[Score]) -> list[Candidate]:
         found: list[Candidate] = []
         refitting = self.refitting
-        scores = scores_to_refit(at, table)
         short = self.attempts.attempt(
             "the choice of candidates on a part of the records",
             lambda: preselected(refitting, at, scores, self.progress),
@@ -261,7 +277,7 @@ class Search:
             if candidate is not None:
                 found.append(replace(candidate, score=s))
                 best = max(best, candidate.gain)
-        return placed(refitting, at, found, events_of(adopted), self.progress)
+        return found
 
     def leads(self, found: Sequence[Candidate], table: ScoreTable) -> bool:
         """False where no time was left to refit an effect that promises more than all others."""

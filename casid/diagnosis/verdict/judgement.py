@@ -386,7 +386,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
     notes += [
         f"{channel} is the reference of a control loop: it acts through a measured input and is "
         "not an input of its own"
-        for channel in search.references or ()
+        for channel in search.memory.references or ()
     ]
     if judged.verdict == "deficient":
         notes += exact_constants(problem.model)
