@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from casid.data.problem import Problem
+from casid.diagnosis.solvers import EXACT
 from casid.diagnosis.thresholds import BUDGET
 from casid.errors import DataError
 from casid.estimation.simulation.fit import FitSettings
@@ -43,6 +44,11 @@ class DiagnosisSettings:
     began: float = field(default_factory=wall_clock)
     calibration_ends: float = math.inf
     levels_by_outputs: bool = True
+
+    @property
+    def refit(self) -> FitSettings:
+        """Of a simulation-error fit that starts next to its minimum: from there alone."""
+        return replace(self.fit, starts=1, solver=self.fit.solver or EXACT)
 
     @property
     def search_ends(self) -> float:

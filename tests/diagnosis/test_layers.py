@@ -14,10 +14,11 @@ ROOM = Path(__file__).resolve().parents[2] / "casid" / "diagnosis"
 LAYERS = """
 thresholds:
 attempts:
-settings: thresholds
-evidence: thresholds attempts settings
+solvers: thresholds
+settings: thresholds solvers
+evidence: thresholds attempts solvers settings
 unexplained: thresholds evidence
-search: thresholds attempts settings evidence
+search: thresholds attempts solvers settings evidence
 verdict: thresholds attempts settings evidence unexplained search
 advice: thresholds settings evidence search verdict
 calibration: thresholds evidence verdict

@@ -16,7 +16,8 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
-from casid.diagnosis.thresholds import PREWHITENING, REFITS
+from casid.diagnosis.solvers import NEAR
+from casid.diagnosis.thresholds import PREWHITENING
 from casid.errors import CasidError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import likeliest
@@ -32,20 +33,6 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.unknowns import Variable
 from casid.estimation.varying_response import with_varying_response
 from casid.model.model import Model
-
-NEAR = Solver(
-    max_iterations=25,
-    options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7, "ipopt.tol": 1e-6},
-)
-"""For fits that start next to their minimum: a large barrier would only lead away from it."""
-
-COMPARED = replace(NEAR, enough=REFITS.enough)
-"""The same for candidates that are compared: what a further step would gain decides nothing."""
-
-EXACT = Solver(
-    max_iterations=100, options={**NEAR.options, "ipopt.mu_init": 1e-6, "ipopt.tol": 1e-8}
-)
-"""The same for fits that are reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

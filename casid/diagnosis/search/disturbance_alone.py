@@ -14,13 +14,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
-from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import Candidate
-from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
+from casid.diagnosis.search.disturbance_price import price_of, under_likelier_disturbance
 from casid.diagnosis.search.jump_times import placed_by_tangents
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
@@ -43,12 +43,9 @@ def disturbance_alone(
     start, base : the model, under the sensors' noise and by its simulation error.
     adopted : the causes that are in it.
     """
-    if not start.noise_absorbs_misfit or is_held(base):
-        return None
     search.progress("test whether a random disturbance explains all that the model leaves")
-    beside = search.with_disturbances()
-    bare = search.under_disturbance(base)
-    if minus_log_likelihood(bare) > as_white(base) or is_more_than_noise(bare, beside):
+    bare, beside = under_likelier_disturbance(search, start, base), search.with_disturbances()
+    if bare is None or is_more_than_noise(bare, beside):
         return None
     table = beside.table(bare, adopted)
     gains = _Gains.of(search, bare)

@@ -34,7 +34,6 @@ from scipy.stats import chi2
 
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import (
-    EXACT,
     Weighing,
     Weighted,
     minus_log_likelihood,
@@ -126,7 +125,7 @@ def _searched_beside(
     The score is infinite where nothing is found.
     """
     settings.progress("treat the remainder as a disturbance, and test every effect in its presence")
-    other = adopt_causes(again, bare, baseline.fit, baseline.split, settings.fit)
+    other = adopt_causes(again, bare, baseline.fit, baseline.split, settings.refit)
     if other.fit is not None:
         # It was extended under the disturbance of the model as it is; its own may be another one.
         own = again.under_disturbance(other.fit)
@@ -184,8 +183,7 @@ def _each_beside(
         return found
     base, split = baseline.fit, baseline.split
     units = base.criterion.weights
-    once = replace(settings.fit, starts=1, solver=settings.fit.solver or EXACT)
-    refine = Refinement(search, split, once, units, baseline.start, base)
+    refine = Refinement(search, split, settings.refit, units, baseline.start, base)
     is_sound = Soundness(base, split)
 
     def why(cause: Adopted, fit: Fit, without: Fit) -> str:

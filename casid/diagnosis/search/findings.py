@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 from casid.data.problem import Problem
 from casid.diagnosis.attempts import Attempts
@@ -77,60 +78,101 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
     negated_fit = baseline.fit if baseline.negated is not None else None
     if baseline.why_undecided:
         return Findings(baseline, search, baseline.start, negated_fit)
-    fit, split, start = baseline.fit, baseline.split, baseline.start
     search, start, found = _found(search, baseline, settings)
     baseline = replace(baseline, start=start)
-    is_sound = Soundness(fit, split)
-    if found.fit is not None and not is_sound(found.fit):
-        why = "its simulation is worse than that of the model as it is"
-        search.refused += [(a.candidate, why) for a in found.adopted]
-        found = replace(found, adopted=(), at=start, fit=None)
-    adopted, at, extended = list(found.adopted), found.at, found.fit
-    if extended is not None and extended.criterion.whiten is None:
-        whole = extended
-        reweighted = search.attempts.attempt(
-            "the last fit of the extended model", lambda: weighted_by_errors(whole, settings.fit)
-        )
-        extended = reweighted if reweighted is not None and is_sound(reweighted) else extended
-    if not adopted:
+    last = _LastSteps(search, baseline, settings, Soundness(baseline.fit, baseline.split))
+    found = last.weighted_by_errors(last.sound(found))
+    if not found.adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
-    at = _with_likelihoods(search, at) if adopted else at
-    adopted = reconsidered(search, adopted, start, at.likelihoods)
-    once = replace(settings.fit, starts=1)
-    named = replace(found, adopted=tuple(adopted), at=at, fit=extended)
-    likelier = search.attempts.attempt(
-        "the exchange of causes for likelier rivals",
-        lambda: with_likelier_rivals(search, named, start, split, once),
-    )
-    if likelier is not None and (likelier.fit is None or is_sound(likelier.fit)):
-        named = likelier
-    adopted, at, extended = list(named.adopted), named.at, named.fit
-    specific: tuple[Specific, ...] = ()
-    if extended is not None and extended.criterion.whiten is None and len(split.fitted) > 1:
-        settings.progress("test whether one size of each cause explains every record")
-        whole, noise = extended, at
-        apart = search.attempts.attempt(
-            "the test whether one size of each cause explains every record",
-            lambda: record_specific(baseline.weighing, adopted, whole, noise, split, settings.fit),
-        )
-        specific, extended, at = apart or (specific, extended, at)
-    extended = extended or negated_fit
-    corrected = _corrected(search, problem, extended or fit, settings)
-    if extended is not None and corrected is not None:
-        if is_sound(corrected.fit):
-            extended = corrected.fit
-        else:
-            corrected = None
+    found = last.by_likelier_rivals(last.judged_again(found))
+    specific, found = last.record_specific(found)
+    extended = found.fit or negated_fit
+    corrected = last.without_input_noise(problem, extended)
+    if corrected is not None and extended is not None:
+        extended = corrected.fit
+    adopted = with_instant_errors(search.attempts, found.adopted, extended)
     return Findings(
-        baseline,
-        search,
-        at,
-        extended,
-        with_instant_errors(search.attempts, adopted, extended),
-        specific,
-        found.remainders,
-        corrected,
+        baseline, search, found.at, extended, adopted, specific, found.remainders, corrected
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _LastSteps:
+    """What is done with the causes when all are found; a step that makes them worse is undone."""
+
+    search: Search
+    baseline: Baseline
+    settings: DiagnosisSettings
+    is_sound: Soundness
+
+    def sound(self, found: Adoption) -> Adoption:
+        """What was found, or nothing where the model simulates worse with it."""
+        if found.fit is None or self.is_sound(found.fit):
+            return found
+        why = "its simulation is worse than that of the model as it is"
+        self.search.refused += [(a.candidate, why) for a in found.adopted]
+        return replace(found, adopted=(), at=self.baseline.start, fit=None)
+
+    def weighted_by_errors(self, found: Adoption) -> Adoption:
+        """The fit in units of its own errors."""
+        fit = found.fit
+        if fit is None or fit.criterion.whiten is not None:
+            return found
+        again = self.search.attempts.attempt(
+            "the last fit of the extended model",
+            lambda: weighted_by_errors(fit, self.settings.fit),
+        )
+        return found if again is None or not self.is_sound(again) else replace(found, fit=again)
+
+    def judged_again(self, found: Adoption) -> Adoption:
+        """The causes with the rivals that cannot be rejected in the end."""
+        if not found.adopted:
+            return found
+        at = _with_likelihoods(self.search, found.at)
+        adopted = reconsidered(self.search, found.adopted, self.baseline.start, at.likelihoods)
+        return replace(found, adopted=tuple(adopted), at=at)
+
+    def by_likelier_rivals(self, found: Adoption) -> Adoption:
+        """Every cause by its rival that is likelier in the end."""
+        start, split = self.baseline.start, self.baseline.split
+        likelier = self.search.attempts.attempt(
+            "the exchange of causes for likelier rivals",
+            lambda: with_likelier_rivals(self.search, found, start, split, self.settings.refit),
+        )
+        if likelier is None or not (likelier.fit is None or self.is_sound(likelier.fit)):
+            return found
+        return likelier
+
+    def record_specific(self, found: Adoption) -> tuple[tuple[Specific, ...], Adoption]:
+        """Causes whose size differs from record to record, and the fit with sizes of their own."""
+        fit, split = found.fit, self.baseline.split
+        if fit is None or fit.criterion.whiten is not None or len(split.fitted) < 2:
+            return (), found
+        what, of = "test whether one size of each cause explains every record", self.settings
+        of.progress(what)
+        own = partial(record_specific, self.baseline.weighing, found.adopted, fit, found.at)
+        apart = self.search.attempts.attempt(f"the {what}", lambda: own(split, of.fit))
+        if apart is None:
+            return (), found
+        specific, fit, at = apart
+        return specific, replace(found, at=at, fit=fit)
+
+    def without_input_noise(self, problem: Problem, extended: Fit | None) -> Corrected | None:
+        """The last fit without the bias of noise on measured inputs.
+
+        None of one under a disturbance, and of an extended model that simulates worse without it.
+        """
+        fit = extended or self.baseline.fit
+        if fit.criterion.whiten is not None:
+            return None
+        self.settings.progress("remove the bias of noise on measured inputs")
+        corrected = self.search.attempts.attempt(
+            "the removal of the bias of noise on inputs",
+            lambda: without_input_noise(fit, problem.noise, seed=self.settings.fit.seed),
+        )
+        if corrected is None or extended is None or self.is_sound(corrected.fit):
+            return corrected
+        return None
 
 
 def _found(
@@ -146,7 +188,7 @@ def _found(
     with search.attempts.within(BUDGET.adoption):
         what = "the search for effects beside a random disturbance"
         first = attempt(what, lambda: seen_beside_disturbance(search, baseline, settings)) or ()
-        found = adopt_causes(search, start, fit, baseline.split, settings.fit, first)
+        found = adopt_causes(search, start, fit, baseline.split, settings.refit, first)
     what = "the comparison of what was found with a random disturbance"
     compared = attempt(
         what, lambda: weighed_against_disturbances(search, found, baseline, settings)
@@ -161,19 +203,6 @@ def _with_likelihoods(search: Search, at: Weighted) -> Weighted:
     what = "the fit of the extended model beside a random disturbance"
     return replace(
         at, beside=search.attempts.attempt(what, lambda: search.under_disturbance(at.fit))
-    )
-
-
-def _corrected(
-    search: Search, problem: Problem, fit: Fit, settings: DiagnosisSettings
-) -> Corrected | None:
-    """A fit without the bias of noise on measured inputs; None of one under a disturbance."""
-    if fit.criterion.whiten is not None:
-        return None
-    settings.progress("remove the bias of noise on measured inputs")
-    return search.attempts.attempt(
-        "the removal of the bias of noise on inputs",
-        lambda: without_input_noise(fit, problem.noise, seed=settings.fit.seed),
     )
 
 

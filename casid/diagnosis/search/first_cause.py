@@ -9,12 +9,9 @@ be refitted for the first cause.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from casid.diagnosis.evidence.baseline import Baseline
-from casid.diagnosis.evidence.prewhitening import EXACT, minus_log_likelihood
 from casid.diagnosis.search.candidates import Candidate
-from casid.diagnosis.search.disturbance_price import as_white, is_held
+from casid.diagnosis.search.disturbance_price import under_likelier_disturbance
 from casid.diagnosis.search.refinement import weighed_whole, whole_fit
 from casid.diagnosis.search.rounds import Search, scores_to_refit
 from casid.diagnosis.settings import DiagnosisSettings
@@ -29,11 +26,9 @@ def seen_beside_disturbance(
     None where the sensors' noise holds no misfit, where no disturbance is likelier than that noise,
     where many effects are seen beside it, or where misfit is left to it.
     """
-    base, start = baseline.fit, baseline.start
-    if not start.noise_absorbs_misfit or is_held(base):
-        return []
-    bare, again = search.under_disturbance(base), search.with_disturbances()
-    if minus_log_likelihood(bare) > as_white(base):
+    base, again = baseline.fit, search.with_disturbances()
+    bare = under_likelier_disturbance(search, baseline.start, base)
+    if bare is None:
         return []
     settings.progress("look for effects beside a random disturbance")
     table = again.table(bare, [])
@@ -43,10 +38,7 @@ def seen_beside_disturbance(
     best = max(found, key=lambda c: c.merit, default=None)
     if best is None or best.merit <= 0.0:
         return []
-    once = replace(settings.fit, starts=1, solver=settings.fit.solver or EXACT)
-    units = base.criterion.weights
-    fit = whole_fit(best.model, baseline.split, once, units, best.fit.values)
-    _, at = weighed_whole(search.weighing, fit, once)
-    if at.noise_absorbs_misfit:
-        return []
-    return found
+    units, values = base.criterion.weights, best.fit.values
+    fit = whole_fit(best.model, baseline.split, settings.refit, units, values)
+    _, at = weighed_whole(search.weighing, fit, settings.refit)
+    return [] if at.noise_absorbs_misfit else found

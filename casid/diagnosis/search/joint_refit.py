@@ -16,7 +16,6 @@ import numpy as np
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.divergence import diverging_size
 from casid.diagnosis.evidence.prewhitening import (
-    COMPARED,
     Weighing,
     Weighted,
     use_samples_of,
@@ -25,6 +24,7 @@ from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.search.imitations import is_soft_stop
+from casid.diagnosis.solvers import COMPARED
 from casid.diagnosis.thresholds import REFITS, RESTARTS
 from casid.errors import SolveError
 from casid.estimation.nlp.solver import LEADS_TO_KNOWN

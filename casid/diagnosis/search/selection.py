@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from casid.arrays import Array
-from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
+from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.alternatives import (
     is_imitator,
@@ -62,16 +62,16 @@ def adopt_causes(
     at: Weighted,
     base_fit: Fit,
     split: Split,
-    settings: FitSettings,
+    once: FitSettings,
     first: Sequence[Candidate] = (),
 ) -> Adoption:
     """Adopt effects until nothing significant is left that lowers the errors; keep what matters.
 
     Parameters
     ----------
+    once : of fits that start next to their minimum.
     first : candidates among which the first cause is sought before all others.
     """
-    once = replace(settings, starts=1, solver=settings.solver or EXACT)
     units = base_fit.criterion.weights
     under = at.noise if search.weighing.takes_disturbances else None
     errors = simulation_errors(base_fit if under is None else at.fit, split, units, under)

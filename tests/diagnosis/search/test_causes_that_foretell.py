@@ -59,7 +59,7 @@ def test_nothing_is_sought_beside_a_disturbance_where_causes_foretell(monkeypatc
     baseline = fit_baseline(problem, split, settings)
     without = set(KINDS) - {"cubic_stiffness"}
     search = Search(baseline.weighing, {}, max_causes=1, without=without)
-    found = adopt_causes(search, baseline.start, baseline.fit, split, settings.fit)
+    found = adopt_causes(search, baseline.start, baseline.fit, split, settings.refit)
     assert [a.candidate.effect.kind for a in found.adopted] == ["cubic_stiffness"]
     if not foretells:
         monkeypatch.setattr(disturbance_rival, "is_all_but_predicted", lambda *_: False)

@@ -14,9 +14,10 @@ import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.search.rounds import Search, shortlist
+from casid.diagnosis.solvers import NEAR
 from casid.diagnosis.thresholds import REFITS
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.simulation.fit import FitSettings, fit_model
