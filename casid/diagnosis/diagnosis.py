@@ -19,6 +19,7 @@ from casid.diagnosis.verdict.remainder import Moved, Remaining
 from casid.estimation.estimate import Estimate, Origin, RecordView, measure_in
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.grouping import Grouped
+from casid.model.effects.effect import OF_SAMPLES
 from casid.presentation import Presented, present, write
 from casid.saving.saved import Saved
 
@@ -197,6 +198,15 @@ class Diagnosis(Presented, Saved):
         Spoilt samples (`outliers`, `saturation`) were left out of the fit and are no part of it.
         """
         return (self.extended or self.baseline).model
+
+    @property
+    def extends_by_nearest(self) -> bool:
+        """True where the extended model has the nearest effect of the catalogue, and none is named.
+
+        The cause is then `unknown`, and what the model has stands among its alternatives.
+        """
+        kinds = [c.kind for c in self.causes if c.kind not in OF_SAMPLES]
+        return self.extended is not None and bool(kinds) and set(kinds) == {"unknown"}
 
     @property
     def estimates(self) -> dict[str, Estimate]:

@@ -12,7 +12,7 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.disturbances import Disturbance
-from casid.diagnosis.verdict.cause import Alternative, Ranked
+from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked
 from casid.estimation.estimate import Estimated
 from casid.model.quantities import unit_text
 from casid.report.document import Table
@@ -21,6 +21,7 @@ from casid.report.numbers import estimated_texts
 from casid.report.pages.cause_parts import ranking_parts
 from casid.report.pages.limit_parts import inseparable
 from tests.support import sample_parts, samples
+from tests.support.fitted_models import extended_pendulum, pendulum_alone
 from tests.support.samples import page_of
 
 FIGURES = {"page": 7, "rich": 15, "hostile": 15}
@@ -45,6 +46,24 @@ def test_an_unknown_alternative_is_listed_once():
     table = inseparable(d)
     assert isinstance(table, Table)
     assert len(table.rows) == 1
+
+
+def test_terms_of_an_effect_that_is_not_the_cause_are_marked_as_the_nearest():
+    """Where the cause has no name the extended model is a comparison, and no correction."""
+    d = samples.deficient()
+    assert d.extended is not None
+    model = replace(extended_pendulum(), baseline=pendulum_alone())
+    d = samples.changed(d, extended=replace(d.extended, model=model))
+    named = page_of(d)
+    assert "<mtext>new</mtext>" in named
+    assert "no correction of the model" not in named
+    near = Alternative("quadratic_damping", "torque", 1e-39, "the nearest effect")
+    unknown = Cause("unknown", "torque", 1e-39, (), (near,))
+    page = page_of(replace(d, causes=(unknown,)))
+    assert "<mtext>new</mtext>" not in page
+    assert "<mtext>nearest</mtext>" in page
+    near_words = "quadratic damping in the torque balance"
+    assert f"marked as nearest are no correction of the model: they are {near_words}" in page
 
 
 def test_candidates_stand_by_what_became_of_them_then_by_p_and_gain():

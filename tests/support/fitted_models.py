@@ -129,6 +129,13 @@ def extended_pendulum() -> FittedModel:
 
 
 @cache
+def pendulum_alone() -> FittedModel:
+    """The indirect pendulum without it."""
+    values = {"k": 10.37, "d": 0.105, "I_x": 0.1385}
+    return fitted_model(pendulum, [], values, x0=(0.01, -0.02), Ts=0.01, N=400)
+
+
+@cache
 def delayed_pendulum(samples: float) -> FittedModel:
     """The indirect pendulum whose gyro is late by some samples of 10 ms."""
     return fitted_model(

@@ -62,6 +62,7 @@ class ModelEquation:
     name : of the balance, derivative, output or stage.
     left, left_latex, left_mathml : the left side; `left_is_new` where the model before had another.
     note : what a stage says.
+    mark : what a term is called that the model before had not.
     """
 
     name: str
@@ -72,6 +73,7 @@ class ModelEquation:
     note: str = ""
     left_is_new: bool = False
     left_mathml: str = ""
+    mark: str = "new"
 
     @property
     def is_changed(self) -> bool:
@@ -79,11 +81,11 @@ class ModelEquation:
         return self.left_is_new or any(term.is_new for term in self.terms)
 
     def __str__(self) -> str:
-        words = [f"[new: {term.text}]" if term.is_new else term.text for term in self.terms]
+        words = [f"[{self.mark}: {term.text}]" if term.is_new else term.text for term in self.terms]
         right = words[0] if words else "0"
         for word in words[1:]:
             right += f" - {word[1:]}" if word.startswith("-") else f" + {word}"
-        left = f"[new: {self.left}] = " if self.left_is_new else f"{self.left} = "
+        left = f"[{self.mark}: {self.left}] = " if self.left_is_new else f"{self.left} = "
         after = "   ".join(f"[{part}]" for part in (self.unit, self.note) if part)
         return f"{left}{right}" + (f"   {after}" if after else "")
 

@@ -123,27 +123,27 @@ def _equation(e: ModelEquation) -> Html:
     beside = element("span", " ".join(filter(None, words)), class_="unit") if any(words) else ""
     if not e.left_mathml or not all(term.mathml for term in e.terms):
         return element("div", name + element("code", str(replace(e, unit="", note=""))) + beside)
-    content = _marked(e.left_mathml, e.left_is_new) + "<mo>=</mo>"
+    content = _marked(e.left_mathml, e.mark * e.left_is_new) + "<mo>=</mo>"
     for i, term in enumerate(e.terms):
         if term.text.startswith("-"):
             content += "<mo>\u2212</mo>" if i else '<mo form="prefix">\u2212</mo>'
         elif i:
             content += "<mo>+</mo>"
-        content += _marked(term.mathml, term.is_new)
+        content += _marked(term.mathml, e.mark * term.is_new)
     return element(
         "div", name + element("math", Html(visible_text(content)), displaystyle="true") + beside
     )
 
 
-def _marked(mathml: str, is_new: bool) -> str:
-    return _MARKED.format(mathml) if is_new else mathml
+def _marked(mathml: str, mark: str) -> str:
+    return _MARKED.format(mathml, safe(mark)) if mark else mathml
 
 
 _MARKED = (
     '<munder class="new"><mrow>{}</mrow><munder><mo stretchy="true">\u23df</mo>'
-    "<mtext>new</mtext></munder></munder>"
+    "<mtext>{}</mtext></munder></munder>"
 )
-"""A term with a brace below it that says that it is new."""
+"""A term with a brace below it that says what it is: new."""
 
 
 def _class(look: str) -> dict[str, str]:

@@ -38,7 +38,7 @@ from casid.report.pages.limit_parts import (
     proposals_table,
     undetectable_parts,
 )
-from casid.report.pages.model_page import equation_changes
+from casid.report.pages.model_page import changed_equations, equation_changes
 from casid.report.pages.remainder_parts import (
     disturbance_parts,
     gain_table,
@@ -72,7 +72,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
     noise = mapping_table(d.noise, ("channel", "what is known about its noise"))
     folded: dict[str, list[Part]] = {
         "Causes in detail": [*(causes or [no_cause(d)]), *small_remainders(d)],
-        "Equations before and after": equation_changes(d.model),
+        "Equations before and after": equation_changes(d.model, _mark(d)),
         "Gain": [gain_table(d), figure("gain")],
         "What remains": [*remaining_parts(d), figure("remaining")],
         "What is unknown": [*unexplained_parts(d), *unknown],
@@ -117,7 +117,7 @@ def decision(d: Diagnosis) -> list[Section]:
     banner = Banner(d.verdict, words, d.sentence, look)
     cards = Cards([*_gains(facts), *_how_sure(d, facts)][:8])
     explained = Paragraph(P_VALUE, look="facts") if d.causes else None
-    change = [_changed_equations(d), _new_parameters(d)] if d.causes else []
+    change = [_nearest(d), _changed_equations(d), _new_parameters(d)] if d.causes else []
     return [
         Section("", [banner, cards, explained, notice((), warnings)], is_open=True),
         Section("What to change in the model", change, is_open=True),
@@ -150,7 +150,25 @@ def _changed_equations(d: Diagnosis) -> Equations | None:
     model = d.model
     if model is None or model.baseline is None:
         return None
-    return Equations(model.equations().changed)
+    return changed_equations(model, _mark(d))
+
+
+def _mark(d: Diagnosis) -> str:
+    """What the terms that the extended model adds are called."""
+    return "nearest" if d.extends_by_nearest else "new"
+
+
+def _nearest(d: Diagnosis) -> Paragraph | None:
+    """What the marked terms are where the cause has no name in the catalogue."""
+    if not d.extends_by_nearest:
+        return None
+    unknown = next(c for c in d.causes if c.kind == "unknown")
+    near = " and ".join(a.words for a in unknown.alternatives[:1]) or "the effects that were tried"
+    return Paragraph(
+        f"What is missing is an {unknown.words}, which the catalogue has no effect for. The terms "
+        f"marked as nearest are no correction of the model: they are {near}, with which the fit "
+        "after was made, and which leaves a misfit that is not noise."
+    )
 
 
 def _new_parameters(d: Diagnosis) -> Table:

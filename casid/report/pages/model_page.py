@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
@@ -132,13 +133,18 @@ def fitted_view(fitted: FittedModel) -> Document:
     )
 
 
-def equation_changes(fitted: FittedModel | None) -> list[Part]:
-    """The equations that the added causes changed, before and after."""
+def equation_changes(fitted: FittedModel | None, mark: str = "new") -> list[Part]:
+    """The equations that the added causes changed, before and after, with a mark on their terms."""
     if fitted is None or fitted.baseline is None:
         return []
     found = fitted.equations()
-    before, after = Equations(found.before), Equations(found.changed)
+    before, after = Equations(found.before), changed_equations(fitted, mark)
     return [Section("Before", [before]), Section("After", [after])]
+
+
+def changed_equations(fitted: FittedModel, mark: str = "new") -> Equations:
+    """The equations that the added causes changed, with a mark on what they added."""
+    return Equations([replace(e, mark=mark) for e in fitted.equations().changed])
 
 
 def experiment_view(experiment: Experiment) -> Document:
