@@ -31,6 +31,9 @@ from casid.estimation.unknowns import Variable
 from casid.model.model import Model
 from casid.versions import versions
 
+ONE_SIDED = 1.645
+"""Standard errors of a normal estimate that 5 % exceed on one side."""
+
 
 class Scored(Protocol):
     """A minimised sum over samples."""
@@ -50,6 +53,18 @@ def bound_of(solution: Solution, name: str) -> str:
     if name in solution.at_lower:
         return "lower"
     return "upper" if name in solution.at_upper else ""
+
+
+def one_sided(row: Estimated, bound: str, error: float) -> Estimated:
+    """A row at the end of a search, with the 95 % interval that is open beyond that end.
+
+    `error` is the standard error that the row has where nothing holds it: the records prefer what
+    lies beyond the end, so that an interval from the end leaves out less than its 5 %.
+    """
+    room = ONE_SIDED * error
+    ends = (row.value - room, np.inf) if bound == "upper" else (-np.inf, row.value + room)
+    note = f"at {bound} bound of what was searched"
+    return replace(row, std_error=None, ends=ends, interval_kind="one-sided", note=note)
 
 
 def origin_of(experiments: Sequence[Experiment], sources: tuple[str, ...]) -> Origin:
@@ -86,11 +101,23 @@ class EstimateBuilder:
         self._whiteness: dict[str, str] = {}
 
     def add(
-        self, row: Estimated, bound: str = "", *, determined: bool = True, is_state: bool = False
+        self,
+        row: Estimated,
+        bound: str = "",
+        *,
+        determined: bool = True,
+        is_state: bool = False,
+        unheld: float = np.nan,
     ) -> None:
-        """One row: without standard error at a bound, or where the data do not determine it."""
+        """One row: without standard error at a bound, or where the data do not determine it.
+
+        `unheld` is the standard error without the bound, where that is the end of a search.
+        """
         if bound:
-            row = replace(row, std_error=None, note=f"at {bound} bound: no standard error")
+            if np.isfinite(unheld) and unheld > 0.0:
+                row = one_sided(row, bound, unheld)
+            else:
+                row = replace(row, std_error=None, note=f"at {bound} bound: no standard error")
             self.warnings.append(
                 f"{row.name} is at its {bound} bound: other standard errors are conditional on it"
             )
@@ -133,6 +160,7 @@ class EstimateBuilder:
         chaotic = "no standard error: the simulation is chaotic here"
         undetermined = {n for direction in rank.null for n in direction}
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        unheld = {} if steep else self._unheld(criterion, solution)
         for v, row, error in zip(criterion.variables, rows, sd, strict=True):
             if row is not None:
                 self.add(
@@ -142,10 +170,31 @@ class EstimateBuilder:
                     bound_of(solution, v.name),
                     determined=bool(steep) or v.name not in undetermined,
                     is_state=v.source in self.model.states,
+                    unheld=unheld.get(v.name, np.nan),
                 )
         self.add_rank(rank)
         self.warn_unless_converged(solution)
         return Uncertainty(names, covariance, assumes.format(lags=lags))
+
+    def _unheld(self, criterion: Scored, solution: Solution) -> dict[str, float]:
+        """Standard errors of what ended at an end of its search, as they are without that end."""
+        searched = [
+            v.source in self.model.parameters
+            and self.model.parameters[v.source].is_searched
+            and bool(bound_of(solution, v.name))
+            for v in criterion.variables
+        ]
+        if not any(searched):
+            return {}
+        covariance, _ = sandwich(
+            solution.hessian,
+            criterion.scores(solution.x),
+            solution.is_free | np.array(searched),
+            solution.constraint_jacobian,
+        )
+        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        names = [v.name for v in criterion.variables]
+        return {n: float(e) for n, e, s in zip(names, errors, searched, strict=True) if s}
 
     def add_known(self) -> None:
         """The parameters of the model that have a known value and no row yet."""

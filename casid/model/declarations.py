@@ -73,6 +73,7 @@ class Parameter:
     upper: float = np.inf
     value: float | None = None
     is_constant: bool = False  # of nature or of geometry: no effect ever moves it
+    is_searched: bool = False  # its bounds are the ends of a search, not those of the quantity
 
     def __post_init__(self) -> None:
         if self.lower > self.upper:

@@ -83,7 +83,11 @@ def interval_text(p: Estimated) -> str:
         return "\u2013"
     places = _places(p)
     low, high = (_end_text(end, places) for end in p.interval)
-    return f"{low} .. {high}" + ("" if p.interval_kind == "quick" else f" ({p.interval_kind})")
+    kind = "" if p.interval_kind in ("quick", "one-sided") else f" ({p.interval_kind})"
+    is_open = [math.isinf(end) for end in p.interval]
+    if sum(is_open) == 1:
+        return (f"at most {high}" if is_open[0] else f"at least {low}") + kind
+    return f"{low} .. {high}{kind}"
 
 
 def _end_text(end: float, places: int | None) -> str:

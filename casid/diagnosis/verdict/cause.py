@@ -125,19 +125,13 @@ class Cause:
             "kind": self.kind,
             "where": self.where,
             "p_value": self.p_value,
-            "parameters": {
-                p.name: {"value": p.value, "std_error": p.std_error, "unit": p.unit}
-                for p in self.parameters
-            },
+            "parameters": {p.name: _as_json(p) for p in self.parameters},
             "alternatives": [a.to_json() for a in self.alternatives],
             "share": self.share,
             "sentence": self.sentence,
             "description": self.description,
             "by_record": {
-                record: {
-                    n: {"value": p.value, "std_error": p.std_error, "unit": p.unit}
-                    for n, p in values.items()
-                }
+                record: {n: _as_json(p) for n, p in values.items()}
                 for record, values in self.by_record.items()
             },
         }
@@ -187,3 +181,10 @@ class Ranked:
     gain: float | None  # fall of the criterion after a refit, None where it was not refitted
     status: str  # "named", "cannot be rejected", "rejected", "not significant", "invisible"
     why: str = ""
+
+
+def _as_json(p: Estimated) -> dict[str, Any]:
+    """A size as `diagnosis.json` has it, with its interval where that is not the normal one."""
+    whole = p.to_json()
+    kept = ["value", "std_error", "unit", *(("interval", "interval_kind") if p.ends else ())]
+    return {name: whole[name] for name in kept}

@@ -257,7 +257,7 @@ def _is_of_root(scaled: ScaledCriterion, name: str, interval: ProfileInterval) -
 
 
 def _keep(chosen: Chosen, name: str, interval: ProfileInterval, fit: Minimum) -> None:
-    chosen.ends[name] = (interval.lower, interval.upper)
+    chosen.ends[name] = _open_where_the_search_ends(name, interval, fit)
     chosen.kinds[name] = "profile"
     if interval.lower_minimum is not None:
         model = fit.criterion.model
@@ -267,6 +267,19 @@ def _keep(chosen: Chosen, name: str, interval: ProfileInterval, fit: Minimum) ->
             f"the criterion is lower than at the estimate where {name} is near {there:.4g}: the "
             "fit is a local minimum; give it more starts (--starts)"
         )
+
+
+def _open_where_the_search_ends(
+    name: str, interval: ProfileInterval, fit: Minimum
+) -> tuple[float, float]:
+    """The ends of a profile, without those that are where a search ended and not the quantity."""
+    v = fit.criterion.variables[fit.criterion.names.index(name)]
+    parameters = fit.criterion.model.parameters
+    lower, upper = interval.lower, interval.upper
+    if v.source in parameters and parameters[v.source].is_searched:
+        lower = lower if lower > v.lower else -math.inf
+        upper = upper if upper < v.upper else math.inf
+    return lower, upper
 
 
 def _free_names(fit: Minimum) -> list[str]:

@@ -108,7 +108,8 @@ def _positions(side: Side, unit: str, middle: float, reach: float, start: float)
     for limit, sign in _LIMITS[side].items():
         low, high = sorted((sign * nearest, sign * reach))
         at = middle + sign * start * reach
-        found.append(Parameter(limit, unit, at, lower=middle + low, upper=middle + high))
+        low, high = middle + low, middle + high
+        found.append(Parameter(limit, unit, at, lower=low, upper=high, is_searched=True))
     return found
 
 

@@ -15,7 +15,7 @@ from casid.estimation.estimate import Estimated
 from casid.model.effects.names import effect_words
 from casid.model.quantities import count_text, instant_text, shortened
 from casid.report.document import Code, Document, Identifier, Labelled, Table, labelled
-from casid.report.numbers import in_readable_unit, number_text
+from casid.report.numbers import in_readable_unit, interval_text, number_text
 
 _LISTED = 5  # of what the page has in full
 _REFUSED = 3  # effects that were significant but not accepted
@@ -112,7 +112,8 @@ def _value(p: Estimated) -> str:
     p = in_readable_unit(p)
     error = f" +- {p.std_error:.2g}" if p.std_error is not None else ""
     unit = f" {p.unit}" if p.unit != "1" else ""
-    why = f" ({p.note})" if p.note and p.std_error is None else ""
+    between = f"{interval_text(p)}; " if p.interval_kind == "one-sided" else ""
+    why = f" ({between}{p.note})" if p.note and p.std_error is None else ""
     return f"{p.name} = {_digits(p)}{error}{unit}{why}"
 
 

@@ -70,7 +70,9 @@ def estimate_document(estimate: Estimate) -> Document:
 
 def _note(p: Estimated) -> str:
     """What is to be said of a row: an interval that is not the normal one, a bound, known."""
-    notes = [f"95 % in {interval_text(p)}"] if p.ends is not None else []
+    between = interval_text(p)
+    within = between if between.startswith("at ") else f"in {between}"
+    notes = [f"95 % {within}"] if p.ends is not None else []
     return "; ".join([*notes, *([p.note] if p.note else ["known"] if p.known else [])])
 
 

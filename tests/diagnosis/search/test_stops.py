@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.verdict.cause import Cause
+from casid.model.effects.contact_effects import end_stop
+from casid.report.numbers import estimated_texts
 
 TS, N, MASS, DAMPING, STIFFNESS, STOP = 0.05, 1000, 2.0, 0.8, 9.0, 40.0  # SI
 
@@ -69,3 +72,45 @@ def test_a_stop_is_found_at_its_position(stops: dict[str, float], says: str) -> 
         error = sizes[name].std_error
         assert error is not None
         assert sizes[name].value == pytest.approx(true, abs=3 * error), name
+
+
+def stopped_too_late() -> casid.Model:
+    """The slide with a stop that is searched from 0.14 on."""
+    model = slide().model
+    effect = end_stop(model, "slide", "upper", middle=0.3, reach=0.2, width=1e-3)
+    assert effect is not None
+    return effect.extend(model).with_unknown("k_stop", "limit", k_stop=STOP, limit=0.3)
+
+
+def test_a_stop_at_the_end_of_its_search_has_an_interval_that_is_open_there() -> None:
+    """The search ends at 0.14, the stop acts from 0.08 on: all that is found is "at most 0.14".
+
+    The interval reaches 1.645 standard errors into the range searched, here of a few millimetres.
+    """
+    estimate = casid.identify(stopped_too_late(), record(-np.inf, 0.08), intervals="quick")
+    found = estimate.parameter("limit")
+    assert found.value == pytest.approx(0.14)
+    assert found.std_error is None
+    assert found.interval_kind == "one-sided"
+    assert found.interval is not None
+    assert found.interval[0] == -np.inf
+    assert 0.14 < found.interval[1] < 0.16
+    cause = Cause("end_stop", "slide", 1e-9, (found,))
+    said = cause.to_json()["parameters"]["limit"]
+    assert said["interval"] == [None, found.interval[1]]
+    assert said["std_error"] is None
+    assert estimated_texts(found)[2] == f"at most {found.interval[1]:.4g}"
+    assert f"95 % at most {found.interval[1]:.4g}" in str(estimate)
+    shown = found.in_unit("mm")
+    assert estimated_texts(shown)[2] == f"at most {1e3 * found.interval[1]:.4g}"
+
+
+def test_the_profile_of_a_stop_is_open_where_its_search_ends() -> None:
+    """Nothing was searched beyond: the end of the search is no end of the interval."""
+    estimate = casid.identify(stopped_too_late(), record(-np.inf, 0.08))
+    found = estimate.parameter("limit")
+    assert found.interval_kind == "profile"
+    assert found.interval is not None
+    assert found.interval[0] == -np.inf
+    assert 0.14 < found.interval[1] < 0.16
+    assert estimated_texts(found)[2] == f"at most {found.interval[1]:.4g} (profile)"
