@@ -17,6 +17,7 @@ _IN = re.compile(r"(.+?)[\s_,]+in[\s_]+(\S.*)", re.IGNORECASE)
 _SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")
 _COMPOUND = re.compile(r"\S[/*·^]\S|[²³]$")  # signs that a compound has and a name has not
 _SPACE = re.compile(r"(.*\S)[\s,]+(\S+)")
+_LAST_IN = re.compile(r"[\s,]+in$", re.IGNORECASE)  # the word before the unit: sun in W/m^2
 # Endings that are more often a word, an index or another unit than what the list reads: x_in is an
 # input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second, r_psi a
 # heading, x_var a variance, x_hp high-pass filtered, x_cal calibrated.
@@ -145,7 +146,7 @@ def header_unit(column: str) -> HeaderUnit | None:
         return None  # a unit without a name; t / s and t in s are times in seconds, not tonnes
     space = _SPACE.fullmatch(column)
     if space and "/" in space[2][1:] and not space[1].endswith("/") and _reads(space[2]):
-        return HeaderUnit(space[2], _reads(space[2]), space[1], True)
+        return HeaderUnit(space[2], _reads(space[2]), _LAST_IN.sub("", space[1]), True)
     if compound := _compound_ending(column):
         return compound
     for pattern in (_IN, _SLASH):

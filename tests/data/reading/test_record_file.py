@@ -293,6 +293,15 @@ def test_a_compound_ending_is_a_unit_and_an_index_before_a_slash_is_none(column,
     assert (found.unit, found.stem) == (unit, stem)
 
 
+@pytest.mark.parametrize("unit", ["W/m^2", "degC", "km/h", "l/min", "m³/h", "Meter per second"])
+@pytest.mark.parametrize("between", [" in ", ", in "])
+def test_the_word_in_between_name_and_unit_belongs_to_neither(unit, between):
+    """Also where the unit is a quotient, whose slash alone would tell it from the name."""
+    found = header_unit(f"solar radiation{between}{unit}")
+    assert found is not None
+    assert (found.text, found.stem, found.is_sure) == (unit, "solar radiation", True)
+
+
 # ---------------------------------------------------------------------- the measurements
 
 
