@@ -39,11 +39,13 @@ class Noise:
     source : output -> origin of its level, as text.
     is_absolute : False where a level is unknown: all outputs then have noise of one unit, and only
         ratios of errors mean anything.
+    unit : output -> the unit in which it is declared.
     """
 
     sd: Mapping[str, float]
     source: Mapping[str, str]
     is_absolute: bool
+    unit: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,6 +247,7 @@ def _noise(
     _refuse_noise(criterion, given or {})
     sd: dict[str, float] = {}
     source: dict[str, str] = {}
+    unit = {n: criterion.model.unit_of(n) for n in criterion.outputs}
     for i, name in enumerate(criterion.outputs):
         measured = [e for e, lacking in enumerate(absent) if name not in lacking]
         if name in (given or {}):
@@ -257,12 +260,11 @@ def _noise(
             if not found > 0:
                 del sd[name]
     if len(sd) == len(criterion.outputs):
-        return Noise(sd, source, True)
+        return Noise(sd, source, True, unit)
     unknown = ", ".join(n for n in criterion.outputs if n not in sd)
     text = f"unknown for {unknown}: one unit on every output"
-    return Noise(
-        dict.fromkeys(criterion.outputs, 1.0), dict.fromkeys(criterion.outputs, text), False
-    )
+    one, texts = dict.fromkeys(criterion.outputs, 1.0), dict.fromkeys(criterion.outputs, text)
+    return Noise(one, texts, False, unit)
 
 
 def _estimated_noise(

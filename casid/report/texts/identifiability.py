@@ -11,6 +11,7 @@ from casid.identifiability.remedies.sensor_subsets import SensorSubsets
 from casid.identifiability.symbolic.observability_matrix import ObservabilityMatrix
 from casid.identifiability.symbolic.reduced_form import ReducedForm
 from casid.linear.discretisation_bias import BiasTable
+from casid.model.units import difference_from_si
 from casid.report.document import Code, Document, Labelled, Table
 from casid.report.numbers import number_text, value_text
 
@@ -32,7 +33,10 @@ def practical_document(found: Practical) -> Document:
         parts.append(("not seen", found.undetermined))
     noise = found.noise
     if noise.is_absolute:
-        parts += [("noise", f"{n} {sd:.3g} ({noise.source[n]})") for n, sd in noise.sd.items()]
+        for name, sd in noise.sd.items():
+            unit = noise.unit[name]
+            size = f"{float(difference_from_si(sd, unit)):.3g} {unit}".removesuffix(" 1")
+            parts.append(("noise", f"{name} {size} ({noise.source[name]})"))
     else:
         text = (
             f"{next(iter(noise.source.values()))}; the errors are relative to each other only. "

@@ -196,6 +196,20 @@ def test_the_noise_is_taken_from_the_caller_then_the_problem_then_the_record():
     assert plan(model, measured).noise.sd["y"] == pytest.approx(0.5, rel=0.2)
 
 
+def test_the_noise_stands_in_the_unit_of_its_output():
+    """Given and shown in the output's declared unit, whatever the unit of the computation."""
+    m = casid.Model("turn")
+    phi = m.state("phi", "deg", initial=0.0)
+    u = m.input("u", "deg/s", hold="zoh", known=True)
+    m.derivative(phi, m.parameter("a", "1", start=1.0) * u)
+    m.output("y", phi, "deg")
+    u = np.random.default_rng(3).standard_normal(100)
+    record = casid.Record({"u": u}, {"u": "rad/s"}, Ts=TS)
+    found = practical_identifiability(m, record, noise={"y": 0.5})
+    assert found.noise.sd["y"] == pytest.approx(np.deg2rad(0.5))
+    assert "y 0.5 deg (as given)" in str(found)
+
+
 def test_an_estimate_may_be_looked_at():
     record, model = inputs(N=4000), integrator()
     rng = np.random.default_rng(2)
