@@ -341,22 +341,25 @@ class _Elements:
         return self._at_a_point(expression / to)
 
     def _at_a_point(self, ratio: Expr) -> Expr | None:
-        """A ratio that depends on no state: a number where it is one, else in parameters."""
-        z = ca.DM(self.z_at[:, 0])
-        function = ca.Function("r", [self.z, self.p], [ca.densify(ratio)])
-        values = [float(function(z, p)) for p in self.p_other.T]
+        """A ratio that depends on no state, as a number or a product of powers of parameters.
+
+        The powers are its elasticities, p/r dr/dp: whole numbers, where it is such a product.
+        """
+        at = ca.substitute(ca.SX(ratio), self.z, ca.DM(self.z_at[:, 0]))
+        powers = ca.densify(ca.gradient(at, self.p)) * self.p / at
+        function = ca.Function("r", [self.p], [ca.densify(at), powers])
+        found = [function(p) for p in self.p_other.T]
+        values = np.array([float(value) for value, _ in found])
         if not np.all(np.isfinite(values)):
             return None
-        if np.ptp(values) <= 1e-9 * abs(values[0]):
-            return _literal(values[0])
-        for i, name in enumerate(self.model.parameters):
-            for power in (1, -1):
-                scale = np.array(values) / self.p_other[i] ** power
-                if np.ptp(scale) <= 1e-9 * abs(scale[0]):
-                    p = self.model.symbol(name)
-                    size = _literal(float(scale[0]))
-                    return size * (p if power == 1 else 1 / p)
-        return ca.substitute(ca.SX(ratio), self.z, z)
+        exponents = np.array([e.full().ravel() for _, e in found])
+        whole = np.round(exponents[0])
+        if not np.allclose(exponents, whole, rtol=0.0, atol=1e-9):
+            return at
+        size = float(values[0] / np.prod(self.p_other[:, 0] ** whole))
+        above = [self.p[i] ** int(n) for i, n in enumerate(whole) if n > 0]
+        below = [self.p[i] ** int(-n) for i, n in enumerate(whole) if n < 0]
+        return _literal(size) * _product(above) * (1 / _product(below))
 
     def _simple(self, coefficient: Expr) -> Expr:
         c = ca.SX(coefficient)
@@ -383,6 +386,14 @@ def _sum(one: Expr | None, other: Expr | None) -> Expr | None:
     if one is None or other is None:
         return one if other is None else other
     return one + other
+
+
+def _product(factors: Sequence[Expr]) -> Expr:
+    """Of symbols; 1 for none."""
+    out = ca.SX(1.0)
+    for factor in factors:
+        out = out * factor
+    return out
 
 
 def _ratio(values: Array, others: Array) -> float:

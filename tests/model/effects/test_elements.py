@@ -251,6 +251,25 @@ def test_a_motion_is_not_relative_to_an_input_scaled_by_what_is_estimated():
     assert [p.where for p in elements_of(m)] == ["W"]
 
 
+def test_a_motion_relative_to_an_input_by_a_quotient_of_constants_is_written_with_their_names():
+    """v^2 (R w/v - l)^2 = (R w - l v)^2: the torque of a rotor that turns beside its ideal."""
+    m = casid.Model("rotor")
+    w, v = m.state("w", "rad/s"), m.input("v", "m/s")
+    R, ideal = m.constant("R", 14.0, "m"), m.constant("l", 5.5, "1")
+    c = m.parameter("c", "kg m", start=1e-3)
+    m.balance(
+        w,
+        "torque",
+        inertia=m.parameter("J", "kg m^2"),
+        terms=[-c * v**2 * (R * w / v - ideal) ** 2],
+    )
+    m.output("speed", w, "rad/s")
+    (place,) = elements_of(m)
+    assert place.where == "w-l/R*v"
+    w, v, R, ideal = (m.symbol(n) for n in ("w", "v", "R", "l"))
+    assert ca.is_equal(place.velocity, w - ideal / R * v, 5)
+
+
 def test_a_spring_is_tested_from_its_own_zero_and_from_where_the_machine_works():
     """A yacht that heels to one side rights itself about upright, not about its mean heel."""
     m = casid.Model("heel")
