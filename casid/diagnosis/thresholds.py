@@ -87,6 +87,13 @@ class Clipping:
         "twice as far from the middle of it: four of a parabola",
         f"{TESTS}/evidence/test_plateaus.py",
     )
+    turn_noise: float = _is(
+        3.0,
+        "times the noise of a reading, by which the readings beside the end of a motion that turns "
+        "lie further from it: two, as the end is the furthest of the readings around it, and one "
+        "for those beside",
+        f"{TESTS}/evidence/test_plateaus.py",
+    )
     apart: float = _is(
         3.0,
         "times the largest step between other samples, beyond which single samples at an end are a "

@@ -7,6 +7,7 @@ channel that is counted or rounded repeats the levels near which it stays.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -73,7 +74,9 @@ def find_plateaus(
         at = [u & (side * y >= level) for y, u in zip(measured, used, strict=True)]
         p = 1.0 if _stands_apart(measured, used, at) else max(_ties(side * values), TINY)
         beyond = np.concatenate([side * y[m] - level for y, m in zip(simulated, at, strict=True)])
-        if p >= alpha or not np.all(np.isfinite(beyond)) or _turns(measured, at):
+        if p >= alpha or not np.all(np.isfinite(beyond)):
+            continue
+        if _turns(measured, used, at, alpha):
             continue
         elsewhere = [u & ~m for u, m in zip(used, at, strict=True)]
         errors = [y - s for y, s in zip(measured, simulated, strict=True)]
@@ -209,15 +212,20 @@ def _runs_in(measured: Sequence[Array], at: Sequence[Array]) -> bool:
     return min(float(np.median(x)) for x in edges) >= CLIPPING.fast * float(np.median(usual))
 
 
-def _turns(measured: Sequence[Array], at: Sequence[Array]) -> bool:
+def _turns(
+    measured: Sequence[Array], used: Sequence[Array], at: Sequence[Array], alpha: float
+) -> bool:
     """True where a channel that is counted or rounded only turns back.
 
     Near its turn a motion is a parabola: twice as far from the middle of the samples at the end as
     the last of them, it has come four steps of the channel down, and a little. What a limit cuts
     off has come further; else it cuts off no more than a step or two.
+
+    Noise may hide the turn: the readings at the end are the furthest of those around them, and by
+    chance all rounded to one (`_equal_by_chance`). It then may have come further by their noise.
     """
-    steps = np.diff(np.unique(np.concatenate(measured)))
-    step = float(np.min(steps[steps > 0.0], initial=np.inf))
+    values = np.unique(np.concatenate(measured))
+    step = float(np.min(np.diff(values)[np.diff(values) > 0.0], initial=np.inf))
     runs: list[tuple[int, float]] = []
     for y, mask in zip(measured, at, strict=True):
         for start, stop in zip(*stretches_of(mask), strict=True):
@@ -226,7 +234,28 @@ def _turns(measured: Sequence[Array], at: Sequence[Array]) -> bool:
             runs += [(stop - start, abs(float(y[k] - y[start]))) for k in beside]
     longest = max((n for n, _ in runs), default=0)
     drops = [drop for n, drop in runs if 2 * n >= longest and np.isfinite(drop)]
-    return bool(drops) and float(np.median(drops)) <= CLIPPING.turn * step
+    if not drops:
+        return False
+    noise = noise_in_windows(measured, used)
+    sd = float(np.median(noise)) if len(noise) else 0.0
+    near, far = CLIPPING.turn * step, CLIPPING.turn * step + CLIPPING.turn_noise * sd
+    level = next(float(y[mask][0]) for y, mask in zip(measured, at, strict=True) if mask.any())
+    close = sum(
+        int(np.sum(np.abs(y[u] - level) <= far)) for y, u in zip(measured, used, strict=True)
+    )
+    is_chance = _equal_by_chance(longest, close, step, sd) >= alpha
+    return float(np.median(drops)) <= (far if is_chance else near)
+
+
+def _equal_by_chance(longest: int, close: int, step: float, sd: float) -> float:
+    """How likely noise lets as many successive readings of a motion at rest round to one value.
+
+    A reading whose mean lies in the middle of a step, where that is likeliest, rounds to it with
+    the probability P(|sd z| < step / 2). The others of a run have to do so, or one other reading
+    where none follow one another, behind any of those that are `close` to the end.
+    """
+    share = math.erf(step / (2.0 * math.sqrt(2.0) * max(sd, TINY)))
+    return min(1.0, close * share ** max(longest - 1, 1))
 
 
 def _ties(values: Array) -> float:

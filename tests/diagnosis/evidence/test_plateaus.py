@@ -322,3 +322,39 @@ def test_readings_that_lose_their_noise_at_a_limit_are_cut_off_however_slow_the_
         # Without noise it may rest there, as a float on the ground does.
         still = np.maximum(np.cos(0.0015 * np.arange(4000)), -0.6)
         assert find(still, np.where(still > -0.6, still, still - 0.1)) is None
+
+
+def dips(seed: int) -> Array:
+    """A pressure that is struck to either side ten times, by up to 400 steps of its converter."""
+    rng, k, y = np.random.default_rng(seed), np.arange(3000), np.zeros(3000)
+    for centre in np.linspace(150, 2850, 10) + rng.uniform(-20, 20, 10):
+        size = 400.0 * rng.uniform(0.1, 1.0) * rng.choice([-1.0, 1.0])
+        y += size * np.exp(-((k - centre) ** 2) / 2 / 29.0**2)
+    return y
+
+
+def read_in_steps(seed: int) -> Array:
+    """Readings with noise of half a step, rounded to whole ones."""
+    return np.round(dips(seed) + 0.5 * np.random.default_rng(1000 + seed).standard_normal(3000))
+
+
+def test_a_motion_that_turns_once_at_its_end_is_seldom_clipped_whatever_noise_rounds_alike():
+    """The end of the record is reached once, where the motion turns, and passed nowhere else.
+
+    So its readings lie closer there than next to it, by a share of records that is a hundred times
+    the level (ties alone: 5 %); that the motion turned shows, beside the noise. Both ends at the
+    level 0.001: of 500 records one, and five or more in 0.4 % of such tests. The model goes too
+    far by a fifth.
+    """
+    found = [find(read_in_steps(seed), 1.2 * dips(seed)) for seed in range(500)]
+    assert sum(cut is not None for cut in found) <= 4
+
+
+def test_what_is_cut_off_by_a_tenth_is_clipped_in_spite_of_noise_and_rounding():
+    """The motion ran into the limit at many times its noise: chance rounds no such run alike."""
+    for seed in range(20):
+        y = read_in_steps(seed)
+        limit = np.round(0.9 * y.max())
+        found = find(np.minimum(y, limit), dips(seed))
+        assert found is not None
+        assert found.upper == limit
