@@ -51,6 +51,7 @@ def _stepping_late(held: Array, record: Record, name: str) -> Array:
     step = np.diff(held, prepend=held[:1])
     late = record.late[name] / record.Ts
     after = np.maximum(late, 0.0) * step  # of the interval that the step's sample begins
+    after[-1] = 0.0  # no interval: what the outputs have there is from the step on
     before = np.maximum(-late, 0.0) * step  # of the one that it ends
     return np.asarray(held - after + np.append(before[1:], 0.0))
 

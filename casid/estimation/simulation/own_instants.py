@@ -112,11 +112,14 @@ def _sides_of_bends(begin: Array, place: Array, bend: Array, first: Array) -> tu
     """Which places (M,) lie before a held input's step in their interval, and which behind it.
 
     A place at the step is behind it: a held input acts from its sample on. Neither, where the
-    neighbour on that side has a step of its own, or belongs to another part.
+    neighbour on that side has a step of its own, or belongs to another part. A place behind the
+    last sample has no interval of its own: there the step is that of this sample.
     """
     share, step = place - begin, bend[begin]
     is_before = (share < step - ROUNDING) & (begin > first) & np.isnan(bend[begin - 1])
-    return is_before, (share >= step - ROUNDING) & np.isnan(bend[begin + 1])
+    is_behind = (share >= step - ROUNDING) & np.isnan(bend[begin + 1])
+    is_at_end = (share > 1.0) & (share - 1.0 >= bend[begin + 1] - ROUNDING)
+    return is_before, is_behind | is_at_end
 
 
 def _off_bends(begin: Array, place: Array, bend: Array, first: Array, last: Array) -> Array:
