@@ -8,6 +8,7 @@ measure, its entries are listed.
 from __future__ import annotations
 
 import ast
+import gc
 import re
 import sys
 from collections.abc import Iterator
@@ -31,9 +32,31 @@ def sources(folder: str) -> tuple[Path, ...]:
 
 
 @cache
+def _trees(folder: str) -> dict[Path, ast.Module]:
+    """The syntax trees of all files below a folder, kept to the end.
+
+    Going through these millions of nodes in search of garbage would take longer than making them.
+    """
+    is_searched = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        return {p: ast.parse(p.read_text(encoding="utf-8")) for p in sources(folder)}
+    finally:
+        gc.freeze()
+        if is_searched:
+            gc.enable()
+
+
 def tree(path: Path) -> ast.Module:
-    """The syntax tree of a file."""
-    return ast.parse(path.read_text(encoding="utf-8"))
+    """The syntax tree of a file of the checkout."""
+    return _trees(path.relative_to(ROOT).parts[0])[path]
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """What stands right inside a statement and can hold imports, functions and classes."""
+    for part in ("body", "handlers", "orelse", "finalbody", "cases"):
+        yield from getattr(node, part, ())
 
 
 def module(path: Path) -> str:
@@ -47,7 +70,7 @@ def definitions(path: Path) -> tuple[tuple[str, str, ast.AST], ...]:
     """Functions and classes of a file: qualified name, name of the class around it, node."""
 
     def walk(node: ast.AST, inside: str) -> Iterator[tuple[str, str, ast.AST]]:
-        for child in ast.iter_child_nodes(node):
+        for child in statements(node):
             if isinstance(child, Function | ast.ClassDef):
                 yield f"{inside}{child.name}", inside.rstrip("."), child
                 yield from walk(child, f"{inside}{child.name}.")
@@ -141,9 +164,15 @@ def imports() -> dict[str, set[str]]:
     """Modules of casid that each module imports, inside functions and for types as well."""
     known = {module(p) for p in sources("casid")}
     out: dict[str, set[str]] = {m: set() for m in known}
+
+    def walk(node: ast.AST) -> Iterator[ast.AST]:
+        for child in statements(node):
+            yield child
+            yield from walk(child)
+
     for path in sources("casid"):
         own = module(path)
-        for node in ast.walk(tree(path)):
+        for node in walk(tree(path)):
             names: list[str] = []
             if isinstance(node, ast.ImportFrom) and node.module:
                 full = [f"{node.module}.{a.name}" for a in node.names]

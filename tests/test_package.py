@@ -19,7 +19,7 @@ from typing import Protocol
 import pytest
 
 import casid
-from tests.support.shared import ROOT
+from tests.structure import ROOT, statements, tree
 
 SOURCES = sorted((ROOT / "casid").rglob("*.py"))
 
@@ -65,11 +65,6 @@ GROUND = set(
 
 
 @cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
 def imports_of(path: Path, *, in_folder: bool = False) -> tuple[tuple[str, bool], ...]:
     """Every absolute import of a file: module, and whether it happens at import time.
 
@@ -77,7 +72,7 @@ def imports_of(path: Path, *, in_folder: bool = False) -> tuple[tuple[str, bool]
     """
 
     def walk(node: ast.AST, now: bool) -> Iterator[tuple[str, bool]]:
-        for child in ast.iter_child_nodes(node):
+        for child in statements(node):
             if isinstance(child, ast.Import):
                 yield from ((name.name, now) for name in child.names)
             elif isinstance(child, ast.ImportFrom):
@@ -93,7 +88,7 @@ def imports_of(path: Path, *, in_folder: bool = False) -> tuple[tuple[str, bool]
             )
             yield from walk(child, now and not inside)
 
-    return tuple(walk(tree_of(path), True))
+    return tuple(walk(tree(path), True))
 
 
 def test_casid_imports_neither_problems_nor_analysis() -> None:
@@ -216,7 +211,7 @@ def test_a_misspelt_name_is_told_the_nearest() -> None:
 
 
 def public_functions(path: Path) -> Iterator[tuple[str, ast.FunctionDef | ast.ClassDef]]:
-    for node in tree_of(path).body:
+    for node in tree(path).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
             yield node.name, node
             if isinstance(node, ast.ClassDef):
@@ -227,7 +222,7 @@ def public_functions(path: Path) -> Iterator[tuple[str, ast.FunctionDef | ast.Cl
 
 def test_every_public_function_says_what_it_does() -> None:
     for path in SOURCES:
-        assert ast.get_docstring(tree_of(path)), f"{name_of(path)} does not say what it holds"
+        assert ast.get_docstring(tree(path)), f"{name_of(path)} does not say what it holds"
         silent = [name for name, node in public_functions(path) if not ast.get_docstring(node)]
         assert not silent, name_of(path)
 
@@ -275,6 +270,7 @@ def test_every_import_of_casid_is_declared() -> None:
         assert {m for m, _ in imported} <= always | names(optional), path.name
 
 
+@cache
 def result_classes() -> dict[str, type]:
     """The classes of casid that public functions and methods of public classes return, by name."""
     returned = []

@@ -9,7 +9,6 @@ import ast
 import dataclasses
 import importlib.util
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,6 +20,7 @@ from casid.estimation.simulation import thresholds as simulation_thresholds
 from casid.experiment_design import thresholds as design_thresholds
 from casid.fleets import thresholds as fleet_thresholds
 from casid.model.effects import search_ranges
+from tests.structure import tree
 
 CASID = Path(__file__).resolve().parents[1] / "casid"
 TABLES = {
@@ -62,11 +62,6 @@ def numbers_in(node: ast.AST) -> Iterator[float]:
             yield part.value
 
 
-@cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
 def in_room(path: Path) -> str:
     return str(path.relative_to(CASID))
 
@@ -93,7 +88,7 @@ def test_every_threshold_is_used_and_every_one_used_is_in_the_table():
     instances = {k: v for k, v in named.items() if any(v is g for g in GROUPS)}
     used = set()
     for path in FILES:
-        for node in ast.walk(tree_of(path)):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 group = instances.get(node.value.id)
                 if group is not None:
@@ -103,7 +98,7 @@ def test_every_threshold_is_used_and_every_one_used_is_in_the_table():
 
 def upper_case_values(path: Path) -> Iterator[tuple[str, ast.AST]]:
     """The constants that a module assigns: name and value."""
-    for node in tree_of(path).body:
+    for node in tree(path).body:
         targets = node.targets if isinstance(node, ast.Assign) else []
         targets = [node.target] if isinstance(node, ast.AnnAssign) else targets
         for target in targets:
@@ -123,7 +118,7 @@ def test_no_comparison_decides_by_a_bare_number():
     for path in FILES:
         found = {
             number
-            for node in ast.walk(tree_of(path))
+            for node in ast.walk(tree(path))
             if isinstance(node, ast.Compare)
             for number in numbers_in(node)
             if number not in PLAIN and abs(number) > REGULAR
@@ -134,4 +129,4 @@ def test_no_comparison_decides_by_a_bare_number():
 
 def test_every_exception_is_still_needed():
     for name, number in ALLOWED:
-        assert number in set(numbers_in(tree_of(CASID / name)))
+        assert number in set(numbers_in(tree(CASID / name)))
