@@ -257,6 +257,7 @@ def staged(problem: Problem, experiments: Any, settings: FitSettings) -> Any:
     return casid.multistage(known, experiments, [casid.StageSpec(["I_x", "d"])], instruments)
 
 
+@pytest.mark.slow
 def test_instrumental_variables_are_studied_as_any_other_method() -> None:
     """Truth within five Monte Carlo standard errors (t(5): one in 250), and the bilinear
     map's relative offset of 4e-4 at 6.7 rad/s and 0.01 s."""

@@ -198,6 +198,7 @@ def test_loggers_of_different_rates_are_aligned():
     assert found.offset == pytest.approx(0.3337, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_standard_error_is_the_spread_over_many_records():
     """Over 80 records the spread is known to 1/sqrt(160) = 8 %, the mean to a ninth of it.
 

@@ -81,7 +81,7 @@ HIDDEN = [
     pytest.param("quadratic_damping", 1.2, 100, None, marks=pytest.mark.slow),  # the manual's, too
     pytest.param("coulomb_friction", 1.2, 101, None, marks=pytest.mark.slow),
     pytest.param("cubic_stiffness", 1.2, 102, None, marks=pytest.mark.slow),
-    ("sensor_bias", 1.2, 103, None),
+    pytest.param("sensor_bias", 1.2, 103, None, marks=pytest.mark.slow),
     pytest.param("extra_input", 1.2, 105, None, marks=pytest.mark.slow),
     pytest.param("parameter_jump", 1.2, 106, "m", marks=pytest.mark.slow),
     pytest.param(
@@ -313,6 +313,7 @@ def test_the_same_record_and_seed_give_the_same_answer():
     assert json.dumps(again.to_json()) == json.dumps(d.to_json())
 
 
+@pytest.mark.slow
 def test_the_extended_model_can_be_used_where_the_model_was():
     """An effect of the user's own is in the model by `extend`, and the cause is gone."""
     import casadi as ca

@@ -128,6 +128,7 @@ FEW = """hold time_delay actuator_lag sensor_lag missing_mode scheduled_paramete
 """Kinds left out where the others are compared: what acts on the clock, and gains."""
 
 
+@pytest.mark.slow
 def test_an_actuator_that_loses_a_fifth_of_its_effect_has_another_gain_from_then_on():
     """No parameter of the model is that gain: mass, damper and spring would have to jump alike."""
     part = record(share=1 - 0.2 * (T >= 11.0)).between(0.0, 20.0)
@@ -171,7 +172,7 @@ def test_a_constant_load_stays_what_acts_all_the_time():
     assert [p.name for p in cause.parameters][1:] == []
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_nothing_sets_in_where_nothing_does(seed):
     found = casid.diagnose(slide(), record(seed=seed), advise=False)
     assert found.verdict == "adequate"

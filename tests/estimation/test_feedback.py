@@ -50,7 +50,7 @@ def test_an_output_feels_an_input_late_that_acts_through_states_alone():
     assert one_sample_late(np.array([1.0, 2.0, 3.0])).tolist() == [1.0, 1.0, 2.0]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_noise_that_the_command_is_made_of_is_no_delay_of_its_sensor(seed: int):
     """Made of the next sample, the slope of the speed goes with the noise by 13 mm/s^2 a mm/s."""
     found = casid.diagnose(casid.Problem("drive", drive()), controlled(seed), advise=False)

@@ -390,6 +390,7 @@ def test_what_is_held_out_is_predicted_one_sample_ahead(linear):
         assert found.held_out.nrmse[key][name] > 90
 
 
+@pytest.mark.slow
 def test_a_simulation_that_diverges_does_not_keep_a_disturbance_from_being_estimated():
     """An inverted pendulum, kept up by feedback of what is measured: no free simulation stays."""
     rng, N, Ts = np.random.default_rng(4), 1500, 0.02

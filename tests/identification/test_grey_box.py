@@ -168,6 +168,7 @@ def fit_lag(record: casid.Record, noise: Sequence[White] = LAG_NOISE, **options:
     return minimize_prediction_error(lag_model(), record, noise, **options)
 
 
+@pytest.mark.slow
 def test_estimates_stray_as_their_covariance_says() -> None:
     """The errors of a, b, q, r over 20 records, each normalised by its own covariance."""
     total, truth = 0.0, {"a": A, "b": B, "psd(w)": 0.5, "var(y)": 0.2}

@@ -130,6 +130,7 @@ def test_a_diagnosis_without_a_cause_says_why(make, words):
         assert word in text
 
 
+@pytest.mark.slow
 def test_a_model_beside_a_large_disturbance_is_not_said_to_explain_the_record():
     explains = "The model explains this record"
     assert explains in Seen(page_of(samples.adequate())).text

@@ -120,6 +120,7 @@ def test_slow_noise_costs_what_its_spectrum_says() -> None:
         assert 0.8 * np.sqrt(19) < slow[name] / least < np.sqrt(19)
 
 
+@pytest.mark.slow
 def test_a_force_of_no_size_costs_nothing() -> None:
     system = next(s for s in SYSTEMS if s.name == "motor")
     without = replace(system, push=replace(system.push, size=1e-6 * system.push.size))

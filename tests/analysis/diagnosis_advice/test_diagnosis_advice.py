@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.signal import lsim
 
 from analysis.diagnosis_advice import records as diagnosis_advice_records
@@ -31,6 +32,7 @@ def test_the_simulator_gives_the_linear_pendulum_s_response():
     np.testing.assert_allclose(made["accel"], accel, atol=1e-3 * np.std(accel))
 
 
+@pytest.mark.slow
 def test_the_right_cause_wins_well_above_the_predicted_energy_and_not_well_below():
     """With x^2 = (1 - c^2) lambda, D has mean x^2 and sd 2 x, and must exceed 6.
 

@@ -384,7 +384,9 @@ def test_a_peer_names_a_force_that_it_has_a_column_for() -> None:
 # -- the oracle -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("part", "number"), [("single", 5), ("roll", 1)])
+@pytest.mark.parametrize(
+    ("part", "number"), [pytest.param("single", 5, marks=pytest.mark.slow), ("roll", 1)]
+)
 def test_the_oracle_names_what_is_hidden_where_it_shows_much(part: str, number: int) -> None:
     """A periodic disturbance of the pendulum and drag of a roll, lambda in the thousands."""
     found = judged_by_oracles(part, number)

@@ -94,6 +94,7 @@ def test_the_height_of_the_axis_costs_k_its_certainty_as_the_family_says(
     assert covariance[k, z_f] / covariance[z_f, z_f] == pytest.approx(-238.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_load_of_one_percent_is_noticed_within_five_minutes(
     calibrated: tuple[Calibration, list[Moments]],
 ) -> None:

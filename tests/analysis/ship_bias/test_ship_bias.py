@@ -79,6 +79,7 @@ def test_a_mean_in_the_instruments_lets_a_gyro_bias_in():
     assert abs(error["differenced"]) < 3.0
 
 
+@pytest.mark.slow
 def test_constants_in_the_regressors_inputs_drop_out_of_both_estimators():
     """A bias of the accelerometer and a heel are constant in a_s, of which only mu_1 is used."""
     names = ["none", "accelerometer bias 0.1 m/s^2", "constant heel of 2 deg"]
@@ -131,6 +132,7 @@ def test_least_squares_warns_on_a_straight_course_and_not_where_the_rudder_moves
     assert not least_squares(Estimator.make().model, moving).estimate.warnings
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_is_found_through_all_noises_by_instruments():
     """Noise drops out of the moments: they are chi^2 with the right signs, and far off with others.
 

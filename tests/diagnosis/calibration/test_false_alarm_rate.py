@@ -85,6 +85,7 @@ def calibrated(diagnose_null, *, runs=200, **more) -> Calibration:
     )
 
 
+@pytest.mark.slow
 def test_null_records_have_the_noise_of_the_fit_and_an_exact_test_keeps_its_rate():
     """The energy over sigma^2 of N white samples is chi^2(N): its p-value is uniform."""
     found = calibrated(energy_p)

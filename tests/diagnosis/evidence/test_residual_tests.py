@@ -61,6 +61,7 @@ def looped(seed: int) -> casid.Record:
     return casid.Record({"u": u, "y": y}, {"u": "1", "y": "1"}, Ts=0.05)
 
 
+@pytest.mark.slow
 def test_noise_that_a_controller_feeds_back_is_no_error_that_depends_on_its_command():
     """The command at a sample holds that sample's noise; what the sample feels came before it."""
     m = casid.Model("looped")

@@ -325,6 +325,7 @@ def test_what_noise_of_an_input_leaves_is_what_initial_states_of_windows_do_not_
     assert abs(weighing.compensated(at, criterion, left.x) - expected) < 0.8 * by_noise
 
 
+@pytest.mark.slow
 def test_a_part_pays_for_the_states_in_which_it_begins_in_every_window():
     """Nothing is missing. Two states a window follow noise, chi^2 of two for each but the first."""
     record, window = upright(N=1000), 50

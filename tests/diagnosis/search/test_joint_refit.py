@@ -131,6 +131,7 @@ def test_a_constant_torque_is_named_although_no_parameter_is_determined_without_
     assert size.value == pytest.approx(0.02, abs=4 * size.std_error)
 
 
+@pytest.mark.slow
 def test_nothing_is_found_in_the_flight_of_the_model_itself() -> None:
     assert casid.diagnose(roll_axis(), flight(), advise=False).verdict == "adequate"
 

@@ -80,6 +80,7 @@ def sea() -> tuple[Weighing, Fit, Weighted]:
     return weighing, fit, weighing.weigh(hull().model, fit, rounds=1)
 
 
+@pytest.mark.slow
 def test_a_model_is_as_likely_as_from_where_an_extension_of_it_ended() -> None:
     """Found from too small a damping, the likelihood of a sea may end at a lower maximum."""
     weighing, _, best = sea()

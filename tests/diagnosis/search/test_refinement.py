@@ -157,6 +157,7 @@ def test_a_remainder_that_nobody_would_see_is_listed_only_where_the_model_has_it
     assert [p.value for c in remainders_of(full) for p in c.parameters] == [0.004]
 
 
+@pytest.mark.slow
 def test_of_two_that_do_the_same_one_stays_though_each_is_small_beside_the_other():
     """A decay that hardens: play and a drift of the stiffness imitate it, and each other."""
     of = refinement(0.07)

@@ -58,6 +58,7 @@ def test_a_drift_that_the_catalogue_has_not_is_no_jump():
     assert "unknown" in {kind for kind, _ in names(first)}
 
 
+@pytest.mark.slow
 def test_with_no_effect_left_in_the_catalogue_the_misfit_is_unknown():
     hidden = truth.cart_pendulum("cubic_stiffness", 1.0, seed=3, duration=30.0, Ts=0.02)
     d = casid.diagnose(pendulum.problem, record_of(hidden), without=sorted(KINDS), advise=False)

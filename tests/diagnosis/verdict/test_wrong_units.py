@@ -53,6 +53,7 @@ def test_a_rate_in_the_wrong_unit_is_named_with_its_unit() -> None:
     assert "as if deg/s had been read as rad/s, a factor of 57.3" in found.sentence
 
 
+@pytest.mark.slow
 def test_so_is_one_that_reads_a_small_part_of_it() -> None:
     """Beside a free gain of the input an angle that reads too much is the same."""
     found = casid.diagnose(lever(), swinging(factor=math.pi / 180), max_causes=1, advise=False)

@@ -170,6 +170,7 @@ def drawn(N: int, Ts: float, seed: int) -> tuple[Record, Any]:
     return Record(dict(zip(OUTPUTS, y.T, strict=True)), dict(OUTPUTS), Ts=Ts), x
 
 
+@pytest.mark.slow
 def test_errors_of_smoothed_speeds_are_as_large_as_said() -> None:
     """Mean squares of normalised errors, at instants so far apart that they are independent."""
     squares: dict[str, list[float]] = {"U": [], "u": [], "v": [], "r": []}

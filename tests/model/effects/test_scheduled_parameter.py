@@ -118,11 +118,12 @@ def test_of_parameters_that_act_alike_the_estimated_one_is_named_and_the_other_b
     )
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", [11, *(pytest.param(s, marks=pytest.mark.slow) for s in (12, 13))])
 def test_a_channel_that_moves_nothing_raises_no_alarm(seed):
     assert diagnosed(0.0, seed).verdict == "adequate"
 
 
+@pytest.mark.slow
 def test_a_model_that_knows_how_its_parameter_follows_the_channel_is_adequate():
     """The estimated slope is 0.5 times the damping at the channel's mean over the whole record."""
     given, r = problem(), record(0.5, 1)

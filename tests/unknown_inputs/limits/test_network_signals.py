@@ -58,6 +58,7 @@ def test_an_external_reference_is_an_instrument_and_costs_variance() -> None:
     assert found.variance("b1[w6]") > 2 * direct.variance("b1[w6]")
 
 
+@pytest.mark.slow
 def test_neglecting_a_node_of_the_network_biases_the_modules_beside_it() -> None:
     """w5 feeds w2 and has its part in what drives w1: the direct estimate of G21 is biased."""
     inputs = ["w1", "w3", "w5"]

@@ -90,6 +90,7 @@ def test_output_error_is_unbiased_under_coloured_noise_and_a_noise_model_varies_
     assert modelled.variance("d1") == pytest.approx(1 - 0.8**2, rel=1e-6)  # an autoregression's
 
 
+@pytest.mark.slow
 def test_monte_carlo_of_output_error_of_too_low_an_order_has_limit_and_covariance() -> None:
     """A second-order system fitted by a first-order module: biased, residuals coloured.
 

@@ -184,6 +184,7 @@ def test_remedies_on_a_dynamic_system_are_those_of_a_simulation() -> None:
     assert best.remedy == "measure y_U, IV"
 
 
+@pytest.mark.slow
 def test_modules_estimated_by_prediction_error_are_compared_as_well() -> None:
     """With white regressors apart from the sensor's noise, PEM is attenuated as (3.55) says."""
     system = LinearSignals.of(

@@ -66,6 +66,7 @@ def smooth_force(N: int, rng: np.random.Generator) -> Array:
 # -- smoothing -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_smoother_s_standard_deviations_cover_the_input_as_often_as_they_say() -> None:
     """Independent records; the number covered at one time is binomial, with 99.9 % limits."""
     s = oscillator()
