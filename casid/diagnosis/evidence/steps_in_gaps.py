@@ -8,32 +8,61 @@ gap on is simulated for each of them, and compared with what was recorded:
 
 with r the residual, d(j) how far a step at sample j moves the outputs, and k the samples behind the
 gap. The input is then filled accordingly.
+
+On an irregular clock a step at a row falls beside the row's place on the even clock, where the
+input has its mean over the interval; a step in the gap before leaves none there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casid.arrays import TINY, Array, BoolArray
 from casid.data.experiment import Experiment
+from casid.data.record import Record
 from casid.data.sampling import stretches_of
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
 from casid.estimation.simulation.known_simulation import KnownSimulation
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.own_instants import lateness_of_steps
 from casid.estimation.simulation.signals import Signals
 
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """A step of an input somewhere in a gap: lost samples first..stop - 1."""
+    """A step of an input somewhere in a gap: lost samples first..stop - 1.
+
+    `late` is by how many samples the row behind the gap was taken after its place on the clock.
+    `soonest` is the first sample of the gap that it may step at: the one behind a row that steps
+    after its own place shows the level of that row.
+    """
 
     channel: str
     first: int
     stop: int
+    before: float
+    after: float
+    late: float = 0.0
+    soonest: int = 0
+
+    @property
+    def columns(self) -> Iterator[Array]:
+        """The input for each sample that it may have stepped at, as of `column`."""
+        return map(self.column, range(self.soonest, self.stop - self.first + 1))
+
+    def column(self, j: int) -> Array:
+        """The input from the first lost sample to the one behind the gap, with its step at j."""
+        n = self.stop - self.first
+        column = np.where(np.arange(n + 1) < j, self.before, self.after)
+        if j == n:  # at the row itself: means over the intervals beside its place
+            rise = self.after - self.before
+            column[n] -= max(self.late, 0.0) * rise
+            column[n - 1] += max(-self.late, 0.0) * rise
+        return column
 
 
 def with_steps_in_gaps(fit: Fit, split: Split) -> tuple[Split, int]:
@@ -69,7 +98,7 @@ def _filled(
 ) -> tuple[Experiment, int]:
     """An experiment with the steps of its held inputs where they fit best, and how many moved."""
     model = fit.criterion.model
-    steps = _steps_of(fit, d, experiment.record.late)
+    steps = _steps_of(fit, d, experiment.record)
     if not steps or not (np.all(np.isfinite(y)) and np.all(np.isfinite(x))):
         return experiment, 0
     residual = np.where(d.used, d.y - y, np.nan)
@@ -83,23 +112,23 @@ def _filled(
     for step in steps:
         i, (a, b) = places.index(step.channel), (step.first, step.stop)
         end = min(b + STEPS_IN_GAPS.samples, d.N)
-        old = u[a:b, i].copy()
-        before, after = u[a - 1, i], u[b, i]
+        old = u[a : b + 1, i].copy()
 
-        def outputs(column: Array, i: int = i, a: int = a, b: int = b, end: int = end) -> Array:
-            part = u[a:end].copy()
-            part[: b - a, i] = column
-            return simulation.run(part, values, x[a : a + 1])[0]
+        def outputs(column: Array, step: _Step = step, i: int = i, end: int = end) -> Array:
+            part = u[step.first : end].copy()
+            part[: len(column), i] = column
+            part[len(column) - 1, i] = step.after  # outputs of the row have all of the step
+            return simulation.run(part, values, x[step.first : step.first + 1])[0]
 
         base, r = outputs(old), residual[a:end]
         best, least = old, np.nansum((r * weights) ** 2)
-        for j in range(b - a + 1):
-            column = np.where(np.arange(b - a) < j, before, after)
+        for column in step.columns:
             loss = np.nansum(((r - outputs(column) + base) * weights) ** 2)
             if loss < least:
                 best, least = column, loss
         if not np.array_equal(best, old):
-            u[a:b, i] = best
+            u[a : b + 1, i] = best
+            r -= outputs(best) - base  # in place: steps behind this one see what it leaves
             columns[step.channel] = u[:, i]
             moved += 1
     if not moved:
@@ -108,13 +137,11 @@ def _filled(
     return with_columns(experiment, columns, [note]), moved
 
 
-def _steps_of(fit: Fit, d: Signals, late: Collection[str]) -> list[_Step]:
+def _steps_of(fit: Fit, d: Signals, record: Record) -> list[_Step]:
     """Gaps of held inputs with another value behind them than before, in the order of time.
 
-    Parameters
-    ----------
-    late : inputs whose stamps run unevenly: between two of them no sample is lost, unless they are
-        far apart.
+    Where the stamps of an input run unevenly no sample is lost between two of them, unless they
+    are far apart.
     """
     model = fit.criterion.model
     out = []
@@ -123,15 +150,38 @@ def _steps_of(fit: Fit, d: Signals, late: Collection[str]) -> list[_Step]:
             continue
         if is_busy(d.u[:, i], d.filled[name]):
             continue
-        longest = 0.0
-        if name in late:
+        levels, late, longest = d.u[:, i], np.zeros(d.N), 0.0
+        own = late  # of the steps alone
+        if name in record.late:
+            late = record.late[name] / record.Ts
+            own = lateness_of_steps(record, name) / record.Ts
+            levels = _levels(levels, d.filled[name], own)
             there = np.flatnonzero(~d.filled[name])
             longest = STEPS_IN_GAPS.lost * float(np.median(np.diff(there)))
         for first, stop in zip(*stretches_of(d.filled[name]), strict=True):
             is_lost = stop - first + 1 > longest
-            if is_lost and 0 < first and stop < d.N and d.u[first - 1, i] != d.u[stop, i]:
-                out.append(_Step(name, int(first), int(stop)))
+            if is_lost and 0 < first and stop < d.N and levels[first - 1] != levels[stop]:
+                ends = float(levels[first - 1]), float(levels[stop])
+                soonest = int(own[first - 1] > 0.0)
+                out.append(
+                    _Step(name, int(first), int(stop), *ends, float(late[stop]), soonest=soonest)
+                )
     return sorted(out, key=lambda step: step.first)
+
+
+def _levels(u: Array, gone: BoolArray, late: Array) -> Array:
+    """An input (N,) with what each row read, where its step makes its sample a mean (N,) of two.
+
+    Parameters
+    ----------
+    gone : (N,) samples that are no rows. late : (N,) by how many samples each step comes after its
+        row's place.
+    """
+    levels = u.copy()
+    for k in np.flatnonzero((late > 0.0) & ~gone):
+        before = levels[k - 1]
+        levels[k] = before + (u[k] - before) / (1.0 - late[k])
+    return levels
 
 
 def is_busy(u: Array, gone: BoolArray) -> bool:
