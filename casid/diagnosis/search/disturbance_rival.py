@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from scipy.stats import chi2
@@ -40,6 +40,7 @@ from casid.diagnosis.evidence.prewhitening import (
 )
 from casid.diagnosis.search.alternatives import is_imitator
 from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
+from casid.diagnosis.search.disturbance_alone import disturbance_alone
 from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
 from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.residual_check import is_more_than_noise
@@ -60,13 +61,44 @@ from casid.estimation.simulation.simulation_error import SimulationError
 RANDOM = "an unrecorded random disturbance explains the misfit as well"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """A search beside the disturbances of a model.
+
+    Attributes
+    ----------
+    of : the model as it is, under the disturbance beside which effects were sought.
+    found, score : what was found, and its score; infinite where nothing was.
+    bare : the model as it is, in any disturbance that the causes leave.
+    """
+
+    search: Search
+    of: Weighted
+    found: Adoption
+    score: float
+    bare: Weighted
+
+    @property
+    def is_likelier(self) -> bool:
+        """True if the causes are likelier than none beside the same disturbance."""
+        return self.score < _score(self.bare, search=self.search, counted=self.bare.criterion)
+
+
 def weighed_against_disturbances(
-    search: Search, found: Adoption, baseline: Baseline, settings: DiagnosisSettings
+    search: Search,
+    found: Adoption,
+    baseline: Baseline,
+    settings: DiagnosisSettings,
+    before: Beside | None = None,
 ) -> tuple[Search, Weighted, Adoption]:
     """The search, the model as it is, and what was found, that are likeliest beside disturbances.
 
     The same as given where nothing would pass for a disturbance, or a parameter is held at its
     bound under a disturbance, too: that leaves misfit of its own.
+
+    Parameters
+    ----------
+    before : a search beside the disturbances of the model as it is, if there was one.
     """
     base, start = baseline.fit, baseline.start
     held = is_held(base)
@@ -95,37 +127,42 @@ def weighed_against_disturbances(
         bare = again.weighing.from_disturbance_of(bare, own)
         start, nothing = replace(start, beside=bare), score_of(bare)
         found = replace(found, at=replace(found.at, beside=own))
-        beside = _beside(again.weighing, found, own, bare)
-        score = 2 * beside + _charge(bare, found.adopted, search)
+        least = _beside(again.weighing, found, own, bare)
+        score = 2 * least + _charge(bare, found.adopted, search)
         errors = _errors(baseline.fit, fit, baseline.split)
         may_be_random = not (is_predicted(*errors) or is_more_than_noise(bare, again))
-        charged = _charged(found, bare, search, beside) if may_be_random else found
+        charged = _charged(found, bare, search, least) if may_be_random else found
         is_random = (may_be_random and nothing <= score) or not _is_significant(charged, search)
         if not found.at.noise_absorbs_misfit and not is_random:
             return search, start, charged
         if not is_random and is_all_but_predicted(*errors) and is_more_than_noise(own, again):
             return search, start, charged  # what little is left is no disturbance
         found = charged
-    other, likelier, bare = _searched_beside(again, bare, baseline, settings)
-    _add_refused(search, again.refused)
-    if other.fit is not None and likelier < min(score, nothing, score_of(bare)):
+    beside = before if before is not None and before.of is bare else None
+    beside = beside or searched_beside(again, bare, baseline, settings)
+    _add_refused(search, beside.search.refused)
+    other = beside.found
+    if beside.is_likelier and beside.score < min(score, nothing):
         if is_random or not found.adopted or not is_more_than_noise(other.at, again):
-            return replace(again, refused=search.refused), bare, other
+            return replace(beside.search, refused=search.refused), beside.bare, other
     if is_random:
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
         return search, start, Adoption((), start, None)
     return search, start, found
 
 
-def _searched_beside(
+def searched_beside(
     again: Search, bare: Weighted, baseline: Baseline, settings: DiagnosisSettings
-) -> tuple[Adoption, float, Weighted]:
-    """What a search finds beside disturbances, its score, and the model as it is, in any of them.
+) -> Beside:
+    """Search beside disturbances.
 
-    The score is infinite where nothing is found.
+    Parameters
+    ----------
+    again : a search with disturbances in the noise.
+    bare : the model as it is, under the disturbances of its residual.
     """
     settings.progress("treat the remainder as a disturbance, and test every effect in its presence")
-    other = adopt_causes(again, bare, baseline.fit, baseline.split, settings.refit)
+    of, other = bare, adopt_causes(again, bare, baseline.fit, baseline.split, settings.refit)
     if other.fit is not None:
         # It was extended under the disturbance of the model as it is; its own may be another one.
         own = again.under_disturbance(other.fit)
@@ -133,10 +170,23 @@ def _searched_beside(
             other = replace(other, at=own)
             bare = again.weighing.from_disturbance_of(bare, own)
     other = _significant(other, bare, again, bare)
-    if not other.adopted:
-        return other, math.inf, bare
-    score = _score(other.at, other.adopted, search=again, counted=bare.criterion)
-    return other, score, bare
+    score = math.inf
+    if other.adopted:
+        score = _score(other.at, other.adopted, search=again, counted=bare.criterion)
+    return Beside(again, of, other, score, bare)
+
+
+def leaves_disturbance_alone(search: Search, beside: Beside) -> bool:
+    """True if a random disturbance is all that the causes found beside one leave.
+
+    What a search under the sensors' noise would find besides would pay for itself there.
+    """
+    fit = beside.found.fit
+    if fit is None or not beside.is_likelier:
+        return False
+    start = search.weighing.weigh(fit.criterion.model, fit, rounds=1)
+    causes = [a.candidate for a in beside.found.adopted]
+    return disturbance_alone(search, start, fit, causes) is not None
 
 
 def _beside(weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted) -> float:

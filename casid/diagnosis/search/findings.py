@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,9 +10,14 @@ from casid.data.problem import Problem
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.candidates import Adopted, name_of
+from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.disturbance_alone import disturbance_alone
-from casid.diagnosis.search.disturbance_rival import weighed_against_disturbances
+from casid.diagnosis.search.disturbance_rival import (
+    Beside,
+    leaves_disturbance_alone,
+    searched_beside,
+    weighed_against_disturbances,
+)
 from casid.diagnosis.search.first_cause import seen_beside_disturbance
 from casid.diagnosis.search.instant_errors import with_instant_errors
 from casid.diagnosis.search.promotion import with_likelier_rivals
@@ -185,13 +191,22 @@ def _found(
     if alone is not None:
         start = replace(start, beside=alone)
         return search, start, Adoption((), start, None)
+    beside: Beside | None = None
+    first: Sequence[Candidate] = ()
     with search.attempts.within(BUDGET.adoption):
         what = "the search for effects beside a random disturbance"
-        first = attempt(what, lambda: seen_beside_disturbance(search, baseline, settings)) or ()
+        seen = attempt(what, lambda: seen_beside_disturbance(search, baseline, settings))
+        if seen is not None and seen.leaves_noise:
+            first = seen.effects
+        elif seen is not None:
+            again = search.with_disturbances()
+            beside = attempt(what, lambda: searched_beside(again, seen.at, baseline, settings))
+            if beside and attempt(what, lambda: leaves_disturbance_alone(search, beside)):
+                return beside.search, beside.bare, beside.found
         found = adopt_causes(search, start, fit, baseline.split, settings.refit, first)
     what = "the comparison of what was found with a random disturbance"
     compared = attempt(
-        what, lambda: weighed_against_disturbances(search, found, baseline, settings)
+        what, lambda: weighed_against_disturbances(search, found, baseline, settings, beside)
     )
     return compared or (search, start, found)
 

@@ -1,4 +1,4 @@
-"""What a first cause may be, where few effects are seen beside a random disturbance.
+"""What is seen beside a random disturbance before anything is sought under the sensors' noise.
 
 Under the sensors' noise a large misfit shows in the scores of everything that acts where it does:
 dozens of effects are refitted, and laws that imitate the cause explain parts of it, one after the
@@ -9,7 +9,10 @@ be refitted for the first cause.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from casid.diagnosis.evidence.baseline import Baseline
+from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance_price import under_likelier_disturbance
 from casid.diagnosis.search.refinement import weighed_whole, whole_fit
@@ -18,27 +21,42 @@ from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import SHORTLIST
 
 
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The few effects that are seen beside a disturbance, as refitted there.
+
+    Attributes
+    ----------
+    at : the model as it is under the disturbance.
+    leaves_noise : whether the best of them leaves no misfit to the noise of the sensors.
+    """
+
+    at: Weighted
+    effects: list[Candidate]
+    leaves_noise: bool
+
+
 def seen_beside_disturbance(
     search: Search, baseline: Baseline, settings: DiagnosisSettings
-) -> list[Candidate]:
-    """The few effects that are seen beside a disturbance, if the best of them leaves none.
+) -> Seen | None:
+    """What is seen beside a disturbance, if it is little and pays for itself there.
 
     None where the sensors' noise holds no misfit, where no disturbance is likelier than that noise,
-    where many effects are seen beside it, or where misfit is left to it.
+    or where many effects are seen beside it.
     """
     base, again = baseline.fit, search.with_disturbances()
     bare = under_likelier_disturbance(search, baseline.start, base)
     if bare is None:
-        return []
+        return None
     settings.progress("look for effects beside a random disturbance")
     table = again.table(bare, [])
     if len(scores_to_refit(bare, table)) > SHORTLIST.few:
-        return []
+        return None
     found = again.refits(bare, table, [])
     best = max(found, key=lambda c: c.merit, default=None)
     if best is None or best.merit <= 0.0:
-        return []
+        return None
     units, values = base.criterion.weights, best.fit.values
     fit = whole_fit(best.model, baseline.split, settings.refit, units, values)
     _, at = weighed_whole(search.weighing, fit, settings.refit)
-    return [] if at.noise_absorbs_misfit else found
+    return Seen(bare, found, not at.noise_absorbs_misfit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -27,14 +28,17 @@ def hull() -> casid.Problem:
     return casid.Problem("hull", m)
 
 
-def record(waves: float = 0.0) -> casid.Record:
+def record(waves: float = 0.0, *, gap: float = GAP, fade: float = 0.0) -> casid.Record:
     """Rolling under a slow random fin beyond its dead zone, and a moment of white waves (rad/s^2).
 
-    All of it is held over each sample: the linear hull then moves by its matrix exponential.
+    The fin loses the share `fade` of its force after a minute. All of it is held over each sample:
+    the linear hull then moves by its matrix exponential.
     """
     rng = np.random.default_rng(5)
     fin = 0.2 * np.sqrt(1 - 0.95**2) * lfilter([1.0], [1.0, -0.95], rng.standard_normal(N))
-    acting = K * np.sign(fin) * np.maximum(np.abs(fin) - GAP, 0.0) + waves * rng.standard_normal(N)
+    acting = K * np.sign(fin) * np.maximum(np.abs(fin) - gap, 0.0)
+    acting *= np.where(TS * np.arange(N) < 60.0, 1.0, 1.0 - fade)
+    acting += waves * rng.standard_normal(N)
     step = expm(TS * np.array([[0.0, 1.0, 0.0], [-C, -B, 1.0], [0.0, 0.0, 0.0]]))
     x, roll = np.zeros(2), np.empty(N)
     for k in range(N):
@@ -63,7 +67,19 @@ def test_what_leaves_no_disturbance_is_the_first_cause_and_nothing_else_is_refit
     assert set(refits(said)) == {"dead zone in fin"}
 
 
-def test_where_waves_are_left_every_effect_is_sought_under_the_noise_of_the_sensors_as_well():
+def test_where_waves_are_all_that_it_leaves_nothing_is_sought_under_the_noise_of_the_sensors():
+    found, said = diagnosed(record(waves=0.03, gap=0.0, fade=0.8))
+    assert [(c.kind, c.where) for c in found.causes] == [("parameter_jump", "K")]
+    jump, time = found.causes[0].parameters
+    assert jump.value == pytest.approx(-0.8 * K, abs=3 * jump.std_error)
+    assert time.value == pytest.approx(60.0, abs=TS / (1 - 0.95))  # the fin's correlation time
+    assert [d.where for d in found.disturbances] == ["moment"]
+    assert said.count("test every effect (round 1)") == 1
+    assert len(refits(said)) <= 6
+
+
+@pytest.mark.slow
+def test_where_many_are_seen_beside_waves_they_are_sought_under_the_noise_of_the_sensors_as_well():
     found, said = diagnosed(record(waves=0.05))
     assert len(refits(said[said.index("test every effect (round 1)") :])) > 6
     assert found.causes[0].kind == "deadzone"
