@@ -233,6 +233,36 @@ class StepsInGaps:
     )
 
 
+_STEPS_BETWEEN_ROWS = f"{TESTS}/evidence/test_steps_between_rows.py"
+
+
+@dataclass(frozen=True, slots=True)
+class StepsBetweenRows:
+    """When a held input stepped between its rows, at instants that differ from step to step."""
+
+    fewest: int = _is(
+        6, "steps, fewer of which show no spread of their instants", _STEPS_BETWEEN_ROWS
+    )
+    samples: int = _is(
+        200, "samples behind a step in which what it does is simulated", _STEPS_BETWEEN_ROWS
+    )
+    seen: float = _is(
+        0.05, "of what the largest step does, that a step has to do at least", _STEPS_BETWEEN_ROWS
+    )
+    explained: float = _is(
+        0.8,
+        "of the sum of squares of the residual, at least: an amplitude for each step explains "
+        "part of most misfits",
+        _STEPS_BETWEEN_ROWS,
+    )
+    errors: float = _is(
+        3.0, "standard errors by which a share may lie outside 0 to 1", _STEPS_BETWEEN_ROWS
+    )
+    inside: float = _is(
+        0.95, "of the steps that lie inside at least, with that room", _STEPS_BETWEEN_ROWS
+    )
+
+
 _DEAD_TIMES = f"{TESTS}/test_dead_time.py"
 
 
@@ -1231,6 +1261,7 @@ SUFFICIENCY = Sufficiency()
 CLIPPING = Clipping()
 OUTLIERS = Outliers()
 STEPS_IN_GAPS = StepsInGaps()
+STEPS_BETWEEN_ROWS = StepsBetweenRows()
 DEAD_TIMES = DeadTimes()
 PREWHITENING = Prewhitening()
 SCORES = Scores()
@@ -1264,6 +1295,7 @@ GROUPS = (
     CLIPPING,
     OUTLIERS,
     STEPS_IN_GAPS,
+    STEPS_BETWEEN_ROWS,
     DEAD_TIMES,
     PREWHITENING,
     SCORES,

@@ -19,6 +19,7 @@ from casid.diagnosis.evidence.recorded_channels import (
     varying_channels,
 )
 from casid.diagnosis.evidence.robust_errors import std_error
+from casid.diagnosis.evidence.steps_between_rows import steps_between_rows
 from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
 from casid.diagnosis.evidence.sufficiency import (
     few_step_fit,
@@ -153,6 +154,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     if corrupted.count:  # what a faulty sensor had bent the fit by, steps were placed against
         split, fit = _stepped(problem, split, settings, fit)
     fit = weighted_by_errors(fit, settings.fit)
+    between = steps_between_rows(fit, settings.alpha)
     channels, notes = channels_held_out_too(varying_channels(problem, split.fitted), split.apart)
     weighing = Weighing(
         split.fitted, known_noise=problem.noise, solver=settings.fit.solver, seed=settings.fit.seed
@@ -175,7 +177,11 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         negated=negated,
         why_undecided=undecided,
         why_doubtful="" if undecided else why_doubtful(fit, start, errors),
-        notes=(*(text for text in (of_windows, sized, less or little) if text), *notes),
+        notes=(
+            *(text for text in (of_windows, sized, less or little) if text),
+            *((between.note,) if between is not None else ()),
+            *notes,
+        ),
         levels=gaps,
     )
 
