@@ -79,10 +79,17 @@ SCALED_IPOPT: dict[str, Any] = {
 }
 
 
-def scales_at_start(first: Evaluation, scale: Array) -> tuple[Array, float]:
+PUSHED = 1e-2
+"""Of a variable's scale: a start that is nearer to a bound is moved away from it by Ipopt, to so
+much inside of it (its `bound_push`)."""
+
+
+def scales_at_start(first: Evaluation, scale: Array, room: Array) -> tuple[Array, float]:
     """The step that changes the criterion by about itself, for each variable, and that value.
 
-    Kept within a factor of 1000 of the declared scale, where a sensitivity vanishes at the start.
+    Kept within a factor of 1000 of the declared scale, where a sensitivity vanishes at the start;
+    and no larger than leaves the start where it is, as the declared scale may not. `room` (n,) is
+    its distance from the nearer bound.
     """
     if not np.isfinite(first.value) or first.value <= 0:
         return scale, 1.0
@@ -90,7 +97,8 @@ def scales_at_start(first: Evaluation, scale: Array) -> tuple[Array, float]:
     with np.errstate(all="ignore"):
         natural = np.sqrt(first.value / np.where(curvature > 0, curvature, np.nan))
     natural = np.where(np.isfinite(natural), natural, scale)
-    return np.clip(natural, 1e-3 * scale, 1e3 * scale), float(first.value)
+    most = np.minimum(1e3 * scale, np.maximum(scale, room / PUSHED))
+    return np.clip(natural, 1e-3 * scale, most), float(first.value)
 
 
 PATIENCE = 60

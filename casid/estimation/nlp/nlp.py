@@ -383,7 +383,8 @@ class Nlp:
         program: SymbolicProgram | CriterionProgram
         if self.has_criterion:
             natural_from = x0 if natural_scales else None
-            program = CriterionProgram(objective, x, own, scale, solver, natural_from)
+            room = np.minimum(x0 - lower, upper - x0)
+            program = CriterionProgram(objective, x, own, scale, solver, natural_from, room)
         else:
             program = SymbolicProgram(x, objective, own, scale, solver)
         solution = solve_once(program, self.name, self.names, x0, (lower, upper, *limits.T))

@@ -58,7 +58,7 @@ class CriterionProgram:
     """A criterion, as one pass over its data, with constraints (m,) as expressions of x (n,).
 
     With `natural_from` (n,) the criterion's curvature there sets the scales of its variables, and
-    its value there the unit of the objective.
+    its value there the unit of the objective; `room` (n,) is its distance from the bounds.
     """
 
     def __init__(
@@ -69,6 +69,7 @@ class CriterionProgram:
         scale: Array,
         solver: Solver,
         natural_from: Array | None = None,
+        room: Array | float = np.inf,
     ) -> None:
         self.solver, self.scale, self._unit = solver, scale, 1.0
         self.constraints = ca.Function("g", [x], [constraints])
@@ -93,7 +94,8 @@ class CriterionProgram:
         self._keep: list[Any] = []  # callbacks must outlive the solver
         if natural_from is None:
             return
-        self.scale, self._unit = scales_at_start(self._one_pass(natural_from), scale)
+        room = np.broadcast_to(room, scale.shape)
+        self.scale, self._unit = scales_at_start(self._one_pass(natural_from), scale, room)
         if solver.name == "ipopt":
             self.options |= {k: v for k, v in SCALED_IPOPT.items() if k not in solver.options}
             if self._n_declared + self.n_own and "ipopt.tol" not in solver.options:

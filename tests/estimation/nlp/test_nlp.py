@@ -565,3 +565,29 @@ def test_a_column_of_constraints_is_as_many_constraints(solver):
     nlp.minimize(0.5 * ca.bilin(ca.DM(H), x, x) - ca.dot(ca.DM(c), x))
     nlp.equality(ca.mtimes(ca.DM(A), x), b, "affine")
     assert nlp.solve(solver).x == pytest.approx(expected, abs=1e-8)
+
+
+class Plateau:
+    """1 + (a - 1)^2 + (b - 100)^2 / 2e12: next to flat in b, and no number from b = 500 on."""
+
+    n_constraints = 0
+
+    def evaluate(self, x):
+        a, b = x
+        value = 1 + (a - 1) ** 2 + 5e-13 * (b - 100) ** 2 if b < 500 else np.nan
+        slope = np.array([2 * (a - 1), 1e-12 * (b - 100)])
+        return Evaluation(value, slope, np.diag([2.0, 1e-12]))
+
+
+@pytest.mark.parametrize("lower", [0.0, 1.0, 99.0, -np.inf])
+def test_a_search_begins_where_it_was_told_to_whatever_the_size_of_a_variable(lower):
+    """Ipopt moves a start that lies nearer to a bound than a hundredth of the variable's size.
+
+    By the curvature the size of b is over 1e5, and the start would be moved from 100 to 1000.
+    """
+    nlp = Nlp("plateau")
+    nlp.variable("a", 3.0)
+    nlp.variable("b", 100.0, lower=lower)
+    nlp.minimize(Plateau())
+    solution = nlp.solve(throw=False, natural_scales=True)
+    assert solution.value == pytest.approx(1.0, abs=1e-6)
