@@ -106,3 +106,18 @@ def test_what_a_function_itself_gets_wrong_stays_its_own_error() -> None:
         share({"a": 1.0, "b": "x"}, "b", scale=np.float32(2.0))  # type: ignore[dict-item]
     with pytest.raises(casid.DataError, match="scale = None; give a number, or leave it out"):
         share({"a": 1.0}, "a", scale=None)  # type: ignore[arg-type]
+
+
+def test_no_public_function_answers_none_with_an_error_of_python() -> None:
+    """Each with None for everything that it needs; what a function takes is no fault here."""
+    for name in casid.__all__:
+        function = getattr(casid, name)
+        if not inspect.isfunction(function):
+            continue
+        needed = [
+            p.name
+            for p in inspect.signature(function).parameters.values()
+            if p.default is p.empty and p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
+        ]
+        with contextlib.suppress(casid.CasidError):
+            function(**dict.fromkeys(needed))

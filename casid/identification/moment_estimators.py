@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from casid.argument_types import names_wrong_types
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import ModelError
@@ -25,6 +26,7 @@ from casid.identifiability.requirement import require_identifiable
 from casid.model.model import Model
 
 
+@names_wrong_types()
 def least_squares(
     problem: Problem | Model,
     experiments: Sequence[Experiment] | Experiment,
@@ -43,6 +45,7 @@ def least_squares(
     return _estimate(StagedEstimation(problem, stages, settings=settings), experiments)
 
 
+@names_wrong_types()
 def instrumental_variables(
     problem: Problem | Model,
     experiments: Sequence[Experiment] | Experiment,

@@ -23,6 +23,7 @@ import numpy as np
 
 from casid.algebra.elimination import null_space, row_echelon
 from casid.algebra.symbolic import evaluate_exactly
+from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.linear.linear_constraints import check_consistent as check_consistent
@@ -122,6 +123,7 @@ class AffineHull:
         return "\n".join(lines)
 
 
+@names_wrong_types(ModelError)
 def affine_hull(
     g: ca.Function,
     parameters: Sequence[str],

@@ -26,6 +26,7 @@ import numpy as np
 
 from casid.algebra.factoring import factored
 from casid.algebra.symbolic import exact
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import ModelError, nearest
 from casid.linear.discrete_loop import DiscreteLoop, bilinear
@@ -358,6 +359,7 @@ class ClosedLoopView(Presented):
         return evaluate
 
 
+@names_wrong_types(ModelError)
 def closed_loop_view(
     indirect: Model,
     *,

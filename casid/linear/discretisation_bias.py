@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError, nearest
 from casid.linear.difference_equation import DifferenceEquation, difference_equation
@@ -60,6 +61,7 @@ class BiasTable(Presented):
         return f"<BiasTable of {', '.join(self.free)}: {len(self.rows)} rows>"
 
 
+@names_wrong_types(ModelError)
 def bias_table(
     model: Model | LinearModel,
     Ts: Sequence[float] | float,

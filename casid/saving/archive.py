@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import CasidError, DataError
 from casid.saving.plain_values import Decoder, Encoder, columns_of
@@ -70,6 +71,7 @@ def save(result: Any, path: str | Path) -> Path:
     return path
 
 
+@names_wrong_types()
 def load(path: str | Path) -> Any:
     """Read a saved `Estimate`, `Diagnosis`, `Assessment`, `FittedModel` or `MonteCarlo`.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
@@ -112,6 +113,7 @@ _TABLE = {
 }
 
 
+@names_wrong_types(ModelError)
 def compare_unknown_input_options(
     model: Model,
     experiments: Sequence[Experiment | Record] | Experiment | Record,

@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.errors import CasidError, SolveError
 from casid.estimation.nlp.comparison_table import Row, SolverComparison
@@ -42,6 +43,7 @@ _BY_GRADIENT = ("Solve_Succeeded", "Solved", "Converged with feasible KKT point"
 _FEASIBLE = 1e-6  # largest violation of a constraint, in its own units
 
 
+@names_wrong_types()
 def compare_solvers(
     nlp: Nlp,
     parameters: Mapping[str, Any] | None = None,

@@ -20,6 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
@@ -206,6 +207,7 @@ class Track:
         return "\n".join([repr(self)[1:-1], *rows, *(f"  note: {note}" for note in self.notes)])
 
 
+@names_wrong_types()
 def smooth_track(
     record: Record,
     channels: Mapping[str, str] | None = None,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+from casid.argument_types import names_wrong_types
 from casid.errors import DataError, ModelError, nearest
 from casid.identifiability.equations.equation_text import parse_system as parse_system
 from casid.identifiability.equations.equation_text import parse_systems, text_of
@@ -38,6 +39,7 @@ class EquationFile:
         return f"<EquationFile {self.name}: {count_text(len(self.systems), 'system')}>"
 
 
+@names_wrong_types(ModelError)
 def read_equations(path: str | Path) -> EquationFile:
     """Read a JSON or TOML equation file; its fields are those of `equations`.
 

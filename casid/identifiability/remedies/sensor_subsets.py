@@ -12,6 +12,7 @@ import numpy as np
 
 from casid.algebra.prime_field import random_prime
 from casid.algebra.row_basis import Basis, unit_vectors
+from casid.argument_types import names_wrong_types
 from casid.errors import IdentifiabilityError, nearest
 from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import observability
@@ -122,6 +123,7 @@ class _Rank:
     identifiable: tuple[bool, ...]
 
 
+@names_wrong_types()
 def sensor_subsets(
     system: System,
     outputs: Sequence[str] | None = None,

@@ -15,6 +15,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError, nearest
 from casid.identifiability.equations.system import System
 from casid.identifiability.symbolic.lie_derivatives import Budget, output_derivatives
@@ -30,6 +31,7 @@ Expr = Any  # a sympy expression
 Matrix = Any  # a sympy matrix
 
 
+@names_wrong_types(ModelError)
 def observability_matrix(
     system: System,
     orders: int | None = None,

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import casadi as ca
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.declarations import Input, Parameter, Stage
 from casid.model.effects.channel_effects import carry, is_rate_limited, require_command
@@ -45,6 +46,7 @@ def actuator_saturation(model: Model, channel: str, limit: float) -> Effect:
     )
 
 
+@names_wrong_types(ModelError)
 def rate_limit(model: Model, channel: str, rate: float, *, most: float | None = None) -> Effect:
     """A recorded command whose actuator moves at no more than a rate, to both sides.
 
@@ -108,6 +110,7 @@ def rate_limit(model: Model, channel: str, rate: float, *, most: float | None = 
     )
 
 
+@names_wrong_types(ModelError)
 def input_backlash(model: Model, channel: str, largest: float, *, least: float = 0.0) -> Effect:
     """A recorded command that acts through play, as a valve's stem or a worn linkage does.
 

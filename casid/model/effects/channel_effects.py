@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
@@ -42,6 +43,7 @@ def sensor_bias(model: Model, channel: str) -> Effect:
     return Effect("sensor_bias", channel, (p,), apply, priority=priority, description=does)
 
 
+@names_wrong_types(ModelError)
 def time_delay(model: Model, channel: str, longest: float) -> Effect:
     """A channel that arrives late by a constant time, at most `longest` seconds.
 
@@ -76,6 +78,7 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
     )
 
 
+@names_wrong_types(ModelError)
 def dead_time(model: Model, channel: str, longest: float) -> Effect:
     """A recorded input that acts later than it is recorded, by at most `longest` seconds.
 
@@ -287,6 +290,7 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
     return Effect("cross_axis", channel, (p,), apply, priority=1)
 
 
+@names_wrong_types(ModelError)
 def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
     """An input that does between its samples what the model does not say.
 
@@ -385,6 +389,7 @@ _BLENDS: Mapping[tuple[Hold, Hold], str] = {
 """Declared hold and the other one -> what the blend's parameter is called."""
 
 
+@names_wrong_types(ModelError)
 def saturation(model: Model, channel: str, limit: float) -> Effect:
     """An output clipped at plus and minus a limit, near the largest value measured.
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.declarations import Parameter, Stage
 from casid.model.effects.channel_effects import carry, commands_of, is_lagging, require_command
@@ -24,6 +25,7 @@ from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
 
 
+@names_wrong_types(ModelError)
 def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
     """A recorded command that acts through 1/(tau s + 1), tau at most `longest` seconds.
 

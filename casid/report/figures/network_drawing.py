@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from casid.argument_types import names_wrong_types
 from casid.unknown_inputs.networks.confounders import Confounder, confounders
 from casid.unknown_inputs.networks.graph import graph_of
 from casid.unknown_inputs.networks.network import Network
@@ -70,6 +71,7 @@ def roles(
     return Roles(role, confounders(network, target, chosen))
 
 
+@names_wrong_types()
 def network_figure(
     network: Network,
     target: Node | None = None,

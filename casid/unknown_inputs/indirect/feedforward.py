@@ -20,6 +20,7 @@ import numpy as np
 from casid.algebra.realisation import matrices
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model.quantities import count_text
@@ -172,6 +173,7 @@ class Feedforward:
         return "\n".join(lines)
 
 
+@names_wrong_types(ModelError)
 def feedforward(model: IndirectModel) -> Feedforward:
     """The filters (6.22) and (6.24) of an indirect model.
 

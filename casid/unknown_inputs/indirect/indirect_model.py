@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.unknown_inputs.indirect.blocks import (
     beside,
@@ -160,6 +161,7 @@ class IndirectModel:
         return "\n".join(lines)
 
 
+@names_wrong_types(ModelError)
 def indirect_model(
     direct: DirectModel,
     *,

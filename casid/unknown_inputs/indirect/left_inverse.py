@@ -13,6 +13,7 @@ from itertools import combinations
 
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.unknown_inputs.indirect.approximate_inverse import ApproximateInverse, approximations
 from casid.unknown_inputs.indirect.blocks import (
@@ -124,6 +125,7 @@ class LeftInverse:
         return "\n".join(lines + [f"  {o}" for o in self.obstacles])
 
 
+@names_wrong_types(ModelError)
 def left_inverse(
     G: RationalMatrix,
     *,

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError, nearest
 from casid.linear.linear_model import LinearModel, TransferMatrix, linearise
 from casid.model.model import Model
 from casid.unknown_inputs.indirect.direct_model import DirectModel, direct_model
 
 
+@names_wrong_types(ModelError)
 def direct_model_of(
     system: Model | LinearModel,
     *,

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.quantities import count_text
 from casid.unknown_inputs.indirect.blocks import difference, identity, is_stable, product, same
@@ -37,6 +38,7 @@ class SpecialCase:
         return f"{self.name}: {self.means}"
 
 
+@names_wrong_types(ModelError)
 def special_case(direct: DirectModel, *, feedback: bool = False) -> SpecialCase:
     """The special case of section 4.5 that a direct model is.
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.presentation import Viewed, present
@@ -62,6 +63,7 @@ class DecisionMap(Viewed):
         )
 
 
+@names_wrong_types(ModelError)
 def decision_map(
     first: Asymptotics,
     second: Asymptotics,

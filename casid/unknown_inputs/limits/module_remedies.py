@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial.orders import Layout, Orders, PerInput
@@ -27,6 +28,7 @@ from casid.unknown_inputs.limits.remedy_table import (
 from casid.unknown_inputs.limits.two_stage_limit import two_stage_limit
 
 
+@names_wrong_types(ModelError)
 def compare_module_remedies(
     system: LinearSignals,
     output: str,

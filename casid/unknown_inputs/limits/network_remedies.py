@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from casid.argument_types import names_wrong_types
 from casid.errors import IdentifiabilityError, ModelError
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
@@ -36,6 +37,7 @@ WAYS = ("PEM", "LS", "IV", "two-stage")
 """Prediction error; least squares and instrumental variables on A w = sum B w; two stages."""
 
 
+@names_wrong_types(ModelError)
 def network_remedies(
     network: Network,
     module: Edge,

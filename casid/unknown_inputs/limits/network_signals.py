@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.linear.filters import as_filter
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
@@ -15,6 +16,7 @@ from casid.unknown_inputs.networks.nodes import node_label
 Array = NDArray[np.complex128]
 
 
+@names_wrong_types(ModelError)
 def network_signals(network: Network) -> LinearSignals:
     """The nodes of a network as signals of its externals.
 

@@ -14,6 +14,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from casid.algebra.exact_field import solve
+from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.errors import ModelError, SolveError
 from casid.estimation.nlp.nlp import Nlp
@@ -53,6 +54,7 @@ class MinimumSearch:
     random_starts: int = RANDOM_STARTS
 
 
+@names_wrong_types(ModelError)
 def prediction_error_limit(
     system: LinearSignals,
     output: str,

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from casid.algebra.exact_field import null_vector, solve
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
@@ -37,6 +38,7 @@ from casid.unknown_inputs.limits.second_moments import (
 )
 
 
+@names_wrong_types(ModelError)
 def regression_limit(
     system: LinearSignals,
     regression: Regression,

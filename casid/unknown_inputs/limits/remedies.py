@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from casid.argument_types import names_wrong_types
 from casid.errors import IdentifiabilityError, ModelError
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.comparison import Comparison, RemedyRow
@@ -47,6 +48,7 @@ class Remedy:
     estimator: Regression | Estimator
 
 
+@names_wrong_types(ModelError)
 def compare_remedies(
     system: LinearSignals,
     output: Term,

@@ -18,6 +18,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.estimation.prediction_error.polynomial.orders import Orders
@@ -36,6 +37,7 @@ LEFT_OUT = 1e-3
 """Of an impulse response's peak: what is smaller may lie beyond the lags that are chosen."""
 
 
+@names_wrong_types(ModelError)
 def two_stage_limit(
     system: LinearSignals,
     output: str,

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.equations import (
     Element,
@@ -22,6 +23,7 @@ from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.nodes import Node, as_nodes, labels
 
 
+@names_wrong_types(ModelError)
 def immerse(network: Network | NodeEquations, keep: Iterable[Node], **field: Any) -> NodeEquations:
     """The network of the nodes in `keep`, all others immersed.
 

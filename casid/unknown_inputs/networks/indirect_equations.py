@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.elimination import Rows, immerse
 from casid.unknown_inputs.networks.equations import Element, NodeEquations, Row, node_equations
@@ -83,6 +84,7 @@ def fully_eliminated(
     return eliminate_by_measurement(network, sets.U, sets.A, **options)
 
 
+@names_wrong_types(ModelError)
 def indirect_equations(
     network: Network | NodeEquations, sets: NodeSets, **options: Any
 ) -> NodeEquations:

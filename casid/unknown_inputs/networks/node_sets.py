@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.presentation import Presented
 from casid.unknown_inputs.networks.graph import downstream, upstream
@@ -48,6 +49,7 @@ class NodeSets(Presented):
         )
 
 
+@names_wrong_types(ModelError)
 def node_sets(
     network: Network,
     target: Node,

@@ -13,6 +13,7 @@ import heapq
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from casid.argument_types import names_wrong_types
 from casid.deprecation import renamed
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.confounders import Confounder, confounders
@@ -105,6 +106,7 @@ class InputSearch:
         return "\n".join(lines)
 
 
+@names_wrong_types(ModelError)
 def predictor_inputs(
     network: Network,
     target: Node,

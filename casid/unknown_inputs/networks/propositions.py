@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.graph import path_past
@@ -98,6 +99,7 @@ class Verdict:
         )
 
 
+@names_wrong_types(ModelError)
 def proposition_3_1(
     network: Network, target: Node, source: Node, inputs: Iterable[Node] | None = None
 ) -> Verdict:
@@ -151,6 +153,7 @@ def open_path(
     return path, loop
 
 
+@names_wrong_types(ModelError)
 def proposition_4_1(network: Network, sets: NodeSets, source: Node) -> Verdict:
     """Whether G_ji is kept when the unknown predictor inputs are eliminated by D and I.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from casid.algebra.rational import Rational
 from casid.algebra.realisation import mcmillan_degree
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.argument_types import names_wrong_types
 from casid.deprecation import renamed
 from casid.model.quantities import count_text
 from casid.unknown_inputs.networks.elimination import immerse
@@ -93,6 +94,7 @@ class RecursiveElimination:
         return "\n".join(lines)
 
 
+@names_wrong_types()
 def eliminate_recursively(
     network: Network, target: Node, *, sensors: Iterable[Node] | None = None
 ) -> RecursiveElimination:

@@ -14,6 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.argument_types import names_wrong_types
 from casid.data.record import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.nlp.solver import Solver
@@ -40,6 +41,7 @@ from casid.unknown_inputs.networks.simulation import refuse_continuous
 Method = Literal["ls", "iv", "two_stage", "joint"]
 
 
+@names_wrong_types(ModelError)
 def estimate_module(
     network: Network,
     module: Edge,

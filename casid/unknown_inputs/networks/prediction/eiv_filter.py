@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from casid.algebra.rational import Rational
 from casid.algebra.realisation import matrices
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import ModelError
@@ -161,6 +162,7 @@ class EivFilter:
         )
 
 
+@names_wrong_types(ModelError)
 def eiv_filter(
     network: Network,
     target: Node,

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from casid.algebra.rational import Rational, rational
+from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.presentation import Presented
 from casid.unknown_inputs.networks.elimination import immerse
@@ -115,6 +116,7 @@ class PredictorTable(Presented):
         return f"<PredictorTable of {node_label(self.target)}: {kinds}>"
 
 
+@names_wrong_types(ModelError)
 def compare_predictors(
     network: Network,
     target: Node,
