@@ -13,17 +13,25 @@ little. A fit in joined segments, which the record itself holds, comes first: wi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+
+import numpy as np
 
 from casid.data.experiment import Experiment
 from casid.diagnosis.thresholds import BUDGET
 from casid.errors import OutOfTimeError
 from casid.estimation.holdout import Split
+from casid.estimation.local_rank import rank_of
 from casid.estimation.simulation.fit import FitSettings, value_at_start
-from casid.estimation.simulation.instability import growth_rate, segments_for, window_for
-from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.instability import (
+    fewest_samples,
+    growth_rate,
+    segments_for,
+    window_for,
+)
+from casid.estimation.simulation.minimization import Fit, departures
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.signs_from_simulation import is_poor
 from casid.identification.unstable import tried
@@ -48,7 +56,7 @@ def in_windows(
     if whole is not None and not is_poor(whole):
         return split, "", {}
     criterion, start = _nearer(criterion, settings, say)
-    window = window_for(criterion)
+    window = _held(criterion, start, window_for(criterion))
     seconds = quantity_text(window * criterion.data[0].Ts, "s")
     apart = quantity_text(1 / growth_rate(criterion), "s")
     say(f"simulate it in windows of {seconds}")
@@ -89,6 +97,25 @@ def _nearer(
     if not window_for(there) or (is_poor(fit) and not _diverges(criterion)):
         return criterion, {}
     return there, values
+
+
+def _held(criterion: SimulationError, start: Mapping[str, float], window: int) -> int:
+    """The window, halved while simulations over it leave the record and so show no parameter.
+
+    A model that lacks something may seem to grow more slowly than what was measured does.
+    """
+    least = fewest_samples(criterion)
+    while window > least:
+        records = [replace(e, window=window) for e in criterion.experiments]
+        cut = SimulationError(criterion.model, records, start=start)
+        at = cut.evaluate(cut.start)
+        finite = np.isfinite(at.value) and np.all(np.isfinite(at.hessian))
+        if finite and rank_of(cut.variables, at.hessian, cut.start).is_full:
+            break
+        if not departures(cut, cut.start)[0]:
+            break
+        window = max(window // 2, least)
+    return window
 
 
 def _diverges(criterion: SimulationError) -> bool:

@@ -235,11 +235,8 @@ def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array
     )
 
 
-def _refuse_departures(criterion: SimulationError, x: Array) -> None:
-    """Refuse windows whose simulations leave what was measured: their rank says nothing."""
-    parts = sum(criterion.parts(e) for e in range(len(criterion.data)))
-    if parts == len(criterion.data):
-        return
+def departures(criterion: SimulationError, x: Array) -> tuple[int, str]:
+    """How many windows' simulations leave the range of what was measured, and where the first."""
     left, first = 0, ""
     for e, d in enumerate(criterion.data):
         error = np.abs(criterion.simulated(x, e).residual)
@@ -249,6 +246,15 @@ def _refuse_departures(criterion: SimulationError, x: Array) -> None:
             if out[a:b].any():
                 first = first or f", the first in that of {d.name} at t = {d.t[a]:g} s"
                 left += 1
+    return left, first
+
+
+def _refuse_departures(criterion: SimulationError, x: Array) -> None:
+    """Refuse windows whose simulations leave what was measured: their rank says nothing."""
+    parts = sum(criterion.parts(e) for e in range(len(criterion.data)))
+    if parts == len(criterion.data):
+        return
+    left, first = departures(criterion, x)
     if left:
         what = (
             f"from the start values {left} of {parts} windows leave the range of what was "

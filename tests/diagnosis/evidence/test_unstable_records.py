@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.evidence import unstable_records
 from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import score_test
@@ -19,6 +20,7 @@ from casid.diagnosis.evidence.window_states import left_by_states, states_of_win
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.estimation.feedback import slope
 from casid.estimation.holdout import _per_window, restarts, split_records
+from casid.estimation.local_rank import rank_of
 from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.instability import growth_rate, window_for
@@ -191,6 +193,24 @@ def test_windows_begin_where_a_fit_in_segments_ends_and_are_as_long_as_the_model
     rate = np.sqrt(2 * 9.81 / 0.01)
     assert cut.fitted[0].window * record.Ts == pytest.approx(INSTABILITY.per_window / rate, rel=0.1)
     assert "at the values of a fit in segments" in note
+
+
+@pytest.mark.parametrize("window", [100, 700])
+def test_windows_are_halved_only_while_the_record_holds_no_simulation_over_them(
+    window, monkeypatch
+):
+    """Errors grow e-fold in 23 ms: over 0.7 s by e to the 31st, and the ball is at the magnet.
+
+    So long windows a model has that lacks something and seems to grow more slowly.
+    """
+    m, record = levitated(lag=1e-4, N=1000)
+    monkeypatch.setattr(unstable_records, "window_for", lambda _: window)
+    split = split_records([casid.Experiment(record)], 0.3)
+    cut, _, start = in_windows(m, split, FitSettings(starts=1), lambda _: None)
+    found = SimulationError(m, cut.fitted, start=start)
+    hessian = found.evaluate(found.start).hessian
+    assert rank_of(found.variables, hessian, found.start).is_full
+    assert (cut.fitted[0].window < window) == (window > 113)
 
 
 def test_what_a_command_does_is_seen_although_windows_begin_in_states_of_their_own():
