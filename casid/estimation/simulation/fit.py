@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.errors import OutOfTimeError, SolveError
+from casid.estimation.nlp.criterion import PUSHED
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.minimization import (
     Constraint,
@@ -84,7 +86,7 @@ def fit_model(
                 check_rank=check_rank and fit is None,
                 throw=False,
             )
-            if fit.not_done or not (is_free and _steps_matter(criterion, fit.x, STEPS.at_end)):
+            if fit.not_done or not (is_free and _steps_are_too_long(criterion, fit)):
                 break
         except OutOfTimeError:
             if fit is None:
@@ -178,21 +180,20 @@ def weighted_by_errors(fit: Fit, settings: FitSettings) -> Fit:
     """
     if len(fit.criterion.outputs) == 1:
         return fit
+    is_free = settings.substeps is None
     settings = replace(settings, starts=1, substeps=fit.criterion.substeps)
     for _ in range(ERROR_WEIGHTS.rounds):
         weights = one_over_errors(fit)
         if np.all(abs(np.log(weights / fit.criterion.weights)) < ERROR_WEIGHTS.settled):
             break
         c = fit.criterion
-        again = fit_model(
-            c.model,
-            c.experiments,
-            settings,
-            start=fit.values,
-            weights=weights,
-            check_rank=False,
-            throw=False,
+        weighted = partial(
+            fit_model, c.model, c.experiments, weights=weights, check_rank=False, throw=False
         )
+        again = weighted(settings, start=fit.values)
+        while is_free and _steps_are_too_long(again.criterion, again):
+            settings = replace(settings, substeps=2 * again.criterion.substeps)
+            again = weighted(settings, start=again.values)
         if not np.isfinite(again.solution.value):
             break
         fit = replace(
@@ -213,6 +214,24 @@ def one_over_errors(fit: Fit) -> Array:
         count += d.used.sum(axis=0)
     errors = np.sqrt(square / np.maximum(count, 1))
     return np.asarray(1 / np.maximum(errors, ERROR_WEIGHTS.rounding * c.spread))
+
+
+def _steps_are_too_long(c: SimulationError, fit: Fit) -> bool:
+    """True if they matter where a fit ended, or make the simulation diverge beside its bounds.
+
+    The second is where a search that begins there takes its first step (`PUSHED`).
+    """
+    if _steps_matter(c, fit.x, STEPS.at_end):
+        return True
+    ended = {name: 1.0 for name in fit.solution.at_lower}
+    ended |= {name: -1.0 for name in fit.solution.at_upper}
+    if not ended or c.substeps >= STEPS.last:
+        return False
+    beside = [
+        x + PUSHED * v.scale * ended.get(v.name, 0.0)
+        for x, v in zip(fit.x, c.variables, strict=True)
+    ]
+    return not np.isfinite(value_at_start(begun_at(c, dict(zip(c.names, beside, strict=True)))))
 
 
 def _steps_matter(c: SimulationError, x: Array, share: float) -> bool:

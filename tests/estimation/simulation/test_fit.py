@@ -31,6 +31,32 @@ def decay() -> casid.Model:
     return m
 
 
+def test_steps_are_as_fine_as_the_fit_in_units_of_the_errors_needs():
+    """The rough sensor shows a lag of 1 s, the fine one, which then has the word, one of 32 ms.
+
+    At 0.1 s a sample Runge-Kutta steps of a sample diverge below 36 ms.
+    """
+    m, N, Ts = casid.Model("two sensors of one lag"), 400, 0.1
+    u = m.input("u", "1", hold="zoh", known=True)
+    tau = m.parameter("tau", "s", start=1.0, lower=0.01, upper=10.0)
+    rng, lags, sd = np.random.default_rng(1), {"rough": 1.0, "fine": 0.032}, (1.0, 1e-3)
+    channels = {"u": np.repeat(rng.choice([-1.0, 1.0], N // 10), 10)}
+    for (name, lag), s in zip(lags.items(), sd, strict=True):
+        x = m.state(f"x_{name}", "1")
+        m.derivative(x, (u - x) / tau)
+        m.output(name, x, "1")
+        kept, y = np.exp(-Ts / lag), np.zeros(N)
+        for k in range(N - 1):
+            y[k + 1] = kept * y[k] + (1 - kept) * channels["u"][k]
+        channels[name] = y + s * rng.standard_normal(N)
+    record = casid.Record(channels, dict.fromkeys(channels, "1"), Ts=Ts)
+    first = fit_model(m, [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
+    assert first.criterion.substeps == 1
+    weighted = weighted_by_errors(first, FitSettings())
+    assert weighted.values["tau"] == pytest.approx(0.032, abs=3 * std_error(weighted, "tau"))
+    assert std_error(weighted, "tau") < 1e-4
+
+
 def test_the_weights_are_those_of_the_likelihood_with_unknown_variances():
     """One over the RMS errors at their own fit, so that the finer sensor has the word."""
     rng, t = np.random.default_rng(3), 0.05 * np.arange(200)
