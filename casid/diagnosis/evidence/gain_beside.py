@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood, within_bounds
+from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.signature_columns import Columns
 from casid.diagnosis.thresholds import DISTURBED
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_response import with_varying_response
 

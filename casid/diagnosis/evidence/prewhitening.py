@@ -28,6 +28,7 @@ from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import NoiseModel, estimate_noise
 from casid.estimation.noise_floor import white_floor
+from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.unknowns import Variable
@@ -434,12 +435,6 @@ def _is_at_bound(v: Variable, value: float) -> bool:
     """True at a bound, or as near as a solver that stays inside comes."""
     near = PREWHITENING.near_bound * max(abs(value), v.scale)
     return bool(not v.lower + near < value < v.upper - near)
-
-
-def within_bounds(criterion: SimulationError, x: Array) -> Array:
-    """A point (n,), each variable moved to its bound where it lies beyond."""
-    low, high = ([getattr(v, side) for v in criterion.variables] for side in ("lower", "upper"))
-    return np.clip(x, low, high)
 
 
 def _moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:

@@ -10,9 +10,6 @@ from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.candidates import Candidate
 from casid.estimation.simulation.minimization import Fit
 
-Extended = tuple[Weighted, tuple[Candidate, ...]]
-"""A model and the causes that are in it, by identity."""
-
 
 @dataclass(slots=True)
 class Memory:
@@ -22,12 +19,13 @@ class Memory:
     ----------
     tested : the last model whose residual was tested.
     disturbed : fit -> the model under the disturbances that its residual shows.
-    tables, refits : of a model -> the scores of all effects, and the shortlist as refitted.
+    tables : of a model and the causes that are in it -> the scores of all effects.
+    refits : of a model without causes -> its shortlist as refitted, as large as the records each.
     references : recorded channels that are references of a control loop; None until sought.
     """
 
     tested: tuple[Weighted, ResidualTests] | None = None
     disturbed: dict[Fit, Weighted] = field(default_factory=dict)
-    tables: dict[Extended, ScoreTable] = field(default_factory=dict)
-    refits: dict[Extended, list[Candidate]] = field(default_factory=dict)
+    tables: dict[tuple[Weighted, tuple[Candidate, ...]], ScoreTable] = field(default_factory=dict)
+    refits: dict[Weighted, list[Candidate]] = field(default_factory=dict)
     references: tuple[str, ...] | None = None

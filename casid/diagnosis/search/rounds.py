@@ -246,15 +246,15 @@ class Search:
     ) -> list[Candidate]:
         """The shortlist, refitted one after the other as far as there is time, placed in time.
 
-        Computed once a model, unless there was no time for all.
+        Those of a model without causes are kept, unless there was no time for all.
         """
-        of, kept = (at, tuple(adopted)), self.memory.refits
-        if of in kept:
-            return list(kept[of])
+        kept = self.memory.refits
+        if at in kept and not adopted:
+            return list(kept[at])
         found = self._refits(at, scores_to_refit(at, table))
         found = placed(self.refitting, at, found, events_of(adopted), self.progress)
-        if not self.attempts.not_done:
-            kept[of] = found
+        if not adopted and not self.attempts.not_done:
+            kept[at] = found
         return list(found)
 
     def _refits(self, at: Weighted, scores: Sequence[Score]) -> list[Candidate]:

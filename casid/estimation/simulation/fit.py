@@ -166,9 +166,20 @@ def _refined(
 
 
 def value_at_start(criterion: SimulationError) -> float:
-    """The criterion where its search begins, without derivatives where it can."""
+    """The criterion where its search begins."""
+    return _value(criterion, criterion.start)
+
+
+def _value(criterion: SimulationError, x: Array) -> float:
+    """The criterion, without derivatives where it can."""
     alone = criterion.value_alone
-    return alone(criterion.start) if alone else float(criterion.evaluate(criterion.start).value)
+    return alone(x) if alone else float(criterion.evaluate(x).value)
+
+
+def within_bounds(criterion: SimulationError, x: Array) -> Array:
+    """A point (n,), each variable moved to its bound where it lies beyond."""
+    low, high = ([getattr(v, side) for v in criterion.variables] for side in ("lower", "upper"))
+    return np.clip(x, low, high)
 
 
 def weighted_by_errors(fit: Fit, settings: FitSettings) -> Fit:
@@ -227,11 +238,8 @@ def _steps_are_too_long(c: SimulationError, fit: Fit) -> bool:
     ended |= {name: -1.0 for name in fit.solution.at_upper}
     if not ended or c.substeps >= STEPS.last:
         return False
-    beside = [
-        x + PUSHED * v.scale * ended.get(v.name, 0.0)
-        for x, v in zip(fit.x, c.variables, strict=True)
-    ]
-    return not np.isfinite(value_at_start(begun_at(c, dict(zip(c.names, beside, strict=True)))))
+    inside = [PUSHED * v.scale * ended.get(v.name, 0.0) for v in c.variables]
+    return not np.isfinite(_value(c, within_bounds(c, fit.x + inside)))
 
 
 def _steps_matter(c: SimulationError, x: Array, share: float) -> bool:
