@@ -24,7 +24,7 @@ from casid.diagnosis.evidence.steps_in_gaps import begun_as, is_busy, with_colum
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
 from casid.estimation.simulation.input_gaps import FILLED
-from casid.estimation.simulation.known_simulation import KnownSimulation
+from casid.estimation.simulation.known_simulation import outputs_by
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals
 
@@ -167,21 +167,16 @@ def _whitener(residual: Array, used: BoolArray) -> csc_array:
 
 def _effects(fit: Fit, d: Signals, x: Array, gaps: list[_Gap], place: int) -> csc_array:
     """(N ny, gaps) what a level higher by one in each gap does to the outputs that were read."""
-    criterion = fit.criterion
-    model = criterion.model
-    simulation = KnownSimulation(model, d.Ts, criterion.substeps)
-    values = {n: criterion.value_of(n, fit.x, place) for n in model.parameters}
-    values |= dict(d.known)
-    places, ny = list(model.inputs), d.y.shape[1]
+    outputs = outputs_by(fit, d, place)
+    places, ny = list(fit.criterion.model.inputs), d.y.shape[1]
     reach = max(STEPS_IN_GAPS.samples, STEPS_IN_GAPS.simulated // len(gaps))
     rows, columns, entries = [], [], []
     for k, gap in enumerate(gaps):
         end = min(gap.stop + reach, d.N)
         part = d.u[gap.first : end].copy()
-        start = x[gap.first : gap.first + 1]
-        base = simulation.run(part, values, start)[0]
+        base = outputs(part, x[gap.first])
         part[: gap.stop - gap.first, places.index(gap.channel)] += gap.spread
-        change = (simulation.run(part, values, start)[0] - base) / gap.spread
+        change = (outputs(part, x[gap.first]) - base) / gap.spread
         change = np.where(d.used[gap.first : end] & np.isfinite(change), change, 0.0)
         for i in range(ny):
             rows.append(i * d.N + np.arange(gap.first, end))

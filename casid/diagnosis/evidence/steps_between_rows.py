@@ -20,7 +20,7 @@ from scipy.stats import chi2
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.steps_in_gaps import is_busy
 from casid.diagnosis.thresholds import STEPS_BETWEEN_ROWS
-from casid.estimation.simulation.known_simulation import KnownSimulation
+from casid.estimation.simulation.known_simulation import outputs_by
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals
 
@@ -41,7 +41,7 @@ class StepsBetweenRows:
 
     @property
     def note(self) -> str:
-        """What it is, and how to mend it."""
+        """What came between the rows, and how to record it instead."""
         low, high = np.quantile(np.clip(self.shares, 0.0, 1.0), [0.05, 0.95])
         return (
             f"the steps of {self.channel} came between its rows, {low:.2f} to {high:.2f} of an "
@@ -130,18 +130,14 @@ def _steps_of(d: Signals, i: int, name: str) -> Array:
 
 def _signatures(fit: Fit, e: int, d: Signals, i: int, rows: Array) -> list[Array]:
     """What the outputs (N, ny) do where each step comes one interval before its row."""
-    criterion = fit.criterion
-    simulation = KnownSimulation(criterion.model, d.Ts, criterion.substeps)
-    values = {n: criterion.value_of(n, fit.x, e) for n in criterion.model.parameters}
-    values |= dict(d.known)
-    x = criterion.simulated(fit.x, e).x
+    outputs, x = outputs_by(fit, d, e), fit.criterion.simulated(fit.x, e).x
     out = []
     for k in rows.tolist():
         end = min(k + STEPS_BETWEEN_ROWS.samples, d.N)
         part = d.u[k - 1 : end].copy()
-        base = simulation.run(part, values, x[k - 1 : k])[0]
+        base = outputs(part, x[k - 1])
         part[0, i] = part[1, i]
-        change = simulation.run(part, values, x[k - 1 : k])[0] - base
+        change = outputs(part, x[k - 1]) - base
         change[0] = 0.0  # of the row before, which had its own level
         whole = np.zeros(d.y.shape)
         whole[k - 1 : end] = np.where(np.isfinite(change), change, 0.0)

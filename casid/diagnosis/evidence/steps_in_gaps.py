@@ -26,7 +26,7 @@ from casid.data.record import Record
 from casid.data.sampling import stretches_of
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
-from casid.estimation.simulation.known_simulation import KnownSimulation
+from casid.estimation.simulation.known_simulation import outputs_by
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.own_instants import lateness_of_steps
 from casid.estimation.simulation.signals import Signals
@@ -97,17 +97,14 @@ def _filled(
     fit: Fit, experiment: Experiment, d: Signals, y: Array, x: Array, *, place: int
 ) -> tuple[Experiment, int]:
     """An experiment with the steps of its held inputs where they fit best, and how many moved."""
-    model = fit.criterion.model
     steps = _steps_of(fit, d, experiment.record)
     if not steps or not (np.all(np.isfinite(y)) and np.all(np.isfinite(x))):
         return experiment, 0
     residual = np.where(d.used, d.y - y, np.nan)
     weights = 1 / np.maximum(1.4826 * np.nanmedian(np.abs(residual), axis=0), TINY)
-    simulation = KnownSimulation(model, d.Ts, fit.criterion.substeps)
-    values = {n: fit.criterion.value_of(n, fit.x, place) for n in model.parameters}
-    values |= dict(d.known)
+    simulated = outputs_by(fit, d, place)
     columns: dict[str, Array] = {}
-    places = list(model.inputs)
+    places = list(fit.criterion.model.inputs)
     u, moved = d.u.copy(), 0
     for step in steps:
         i, (a, b) = places.index(step.channel), (step.first, step.stop)
@@ -118,7 +115,7 @@ def _filled(
             part = u[step.first : end].copy()
             part[: len(column), i] = column
             part[len(column) - 1, i] = step.after  # outputs of the row have all of the step
-            return simulation.run(part, values, x[step.first : step.first + 1])[0]
+            return simulated(part, x[step.first])
 
         base, r = outputs(old), residual[a:end]
         best, least = old, np.nansum((r * weights) ** 2)

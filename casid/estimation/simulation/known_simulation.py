@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from casid.arrays import Array
+from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.sensor_dynamics import Before, prepared_inputs, through_sensor
+from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.model import Model
 
@@ -62,3 +64,23 @@ class KnownSimulation:
                     stepped = None if stage.kind == "clip" else steps.pop(i, None)
                     through_sensor(stage.kind, y[:, i], None, value, simulator.Ts, -1, stepped)
         return y, x
+
+
+def outputs_by(fit: Fit, d: Signals, place: int) -> Callable[[Array, Array], Array]:
+    """The outputs (n, ny) of inputs (n, nu) from a state (nx,), at the values of a fit.
+
+    Parameters
+    ----------
+    d : a record, for its sample time and the values known for it.
+    place : among the records fitted, of the one whose own values it has.
+    """
+    criterion = fit.criterion
+    model = criterion.model
+    simulation = KnownSimulation(model, d.Ts, criterion.substeps)
+    values = {n: criterion.value_of(n, fit.x, place) for n in model.parameters} | dict(d.known)
+
+    def outputs(u: Array, x0: Array) -> Array:
+        """The simulation, without its states."""
+        return simulation.run(u, values, x0[np.newaxis])[0]
+
+    return outputs
