@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -56,19 +55,21 @@ def fit_model(
     weights: Array | None = None,
     check_rank: bool = True,
     throw: bool = True,
+    substeps: int = 1,
 ) -> Fit:
     """Minimise the simulation error, with as many Runge-Kutta substeps as the data need.
 
     Parameters
     ----------
     weights : (ny,) of the outputs, as for `SimulationError`.
+    substeps : that are tried first, where the settings leave them free.
 
     Raises
     ------
     IdentifiabilityError, SolveError : as `minimize_simulation_error`.
     """
     is_free = settings.substeps is None
-    criterion = _stated(model, experiments, settings, start, weights)
+    criterion = _stated(model, experiments, settings, start, weights, substeps)
     begun = {v.name: v.start for v in criterion.variables}
     if (near := _near(criterion, settings)) is not None:
         start, criterion = near.values, begun_at(criterion, near.values)
@@ -111,6 +112,7 @@ def _stated(
     settings: FitSettings,
     start: Mapping[str, float] | None,
     weights: Array | None,
+    substeps: int,
 ) -> SimulationError:
     return SimulationError(
         model,
@@ -118,7 +120,7 @@ def _stated(
         own=settings.own,
         weights=weights,
         segments=settings.segments,
-        substeps=settings.substeps or 1,
+        substeps=settings.substeps or substeps,
         start=start,
     )
 
@@ -191,20 +193,22 @@ def weighted_by_errors(fit: Fit, settings: FitSettings) -> Fit:
     """
     if len(fit.criterion.outputs) == 1:
         return fit
-    is_free = settings.substeps is None
-    settings = replace(settings, starts=1, substeps=fit.criterion.substeps)
+    settings = replace(settings, starts=1)
     for _ in range(ERROR_WEIGHTS.rounds):
         weights = one_over_errors(fit)
         if np.all(abs(np.log(weights / fit.criterion.weights)) < ERROR_WEIGHTS.settled):
             break
         c = fit.criterion
-        weighted = partial(
-            fit_model, c.model, c.experiments, weights=weights, check_rank=False, throw=False
+        again = fit_model(
+            c.model,
+            c.experiments,
+            settings,
+            start=fit.values,
+            weights=weights,
+            check_rank=False,
+            throw=False,
+            substeps=c.substeps,
         )
-        again = weighted(settings, start=fit.values)
-        while is_free and _steps_are_too_long(again.criterion, again):
-            settings = replace(settings, substeps=2 * again.criterion.substeps)
-            again = weighted(settings, start=again.values)
         if not np.isfinite(again.solution.value):
             break
         fit = replace(
