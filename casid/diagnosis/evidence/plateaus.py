@@ -224,8 +224,8 @@ def _turns(
     Noise may hide the turn: the readings at the end are the furthest of those around them, and by
     chance all rounded to one (`_equal_by_chance`). It then may have come further by their noise.
     """
-    values = np.unique(np.concatenate(measured))
-    step = float(np.min(np.diff(values)[np.diff(values) > 0.0], initial=np.inf))
+    steps = np.diff(np.unique(np.concatenate(measured)))
+    step = float(np.min(steps[steps > 0.0], initial=np.inf))
     runs: list[tuple[int, float]] = []
     for y, mask in zip(measured, at, strict=True):
         for start, stop in zip(*stretches_of(mask), strict=True):

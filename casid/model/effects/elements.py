@@ -7,6 +7,7 @@ points, and are exact for terms that are polynomials.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -357,9 +358,10 @@ class _Elements:
         if not np.allclose(exponents, whole, rtol=0.0, atol=1e-9):
             return at
         size = float(values[0] / np.prod(self.p_other[:, 0] ** whole))
-        above = [self.p[i] ** int(n) for i, n in enumerate(whole) if n > 0]
-        below = [self.p[i] ** int(-n) for i, n in enumerate(whole) if n < 0]
-        return _literal(size) * _product(above) * (1 / _product(below))
+        above = (self.p[i] ** int(n) for i, n in enumerate(whole) if n > 0)
+        below = (self.p[i] ** int(-n) for i, n in enumerate(whole) if n < 0)
+        one = ca.SX(1.0)
+        return _literal(size) * math.prod(above, start=one) * (1 / math.prod(below, start=one))
 
     def _simple(self, coefficient: Expr) -> Expr:
         c = ca.SX(coefficient)
@@ -386,14 +388,6 @@ def _sum(one: Expr | None, other: Expr | None) -> Expr | None:
     if one is None or other is None:
         return one if other is None else other
     return one + other
-
-
-def _product(factors: Sequence[Expr]) -> Expr:
-    """Of symbols; 1 for none."""
-    out = ca.SX(1.0)
-    for factor in factors:
-        out = out * factor
-    return out
 
 
 def _ratio(values: Array, others: Array) -> float:
