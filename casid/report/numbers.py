@@ -84,10 +84,14 @@ def interval_text(p: Estimated) -> str:
     places = _places(p)
     low, high = (_end_text(end, places) for end in p.interval)
     kind = "" if p.interval_kind in ("quick", "one-sided") else f" ({p.interval_kind})"
-    is_open = [math.isinf(end) for end in p.interval]
-    if sum(is_open) == 1:
-        return (f"at most {high}" if is_open[0] else f"at least {low}") + kind
+    if is_half_open(p):
+        return (f"at most {high}" if math.isinf(p.interval[0]) else f"at least {low}") + kind
     return f"{low} .. {high}{kind}"
+
+
+def is_half_open(p: Estimated) -> bool:
+    """True of an interval with one end."""
+    return p.interval is not None and sum(map(math.isinf, p.interval)) == 1
 
 
 def _end_text(end: float, places: int | None) -> str:

@@ -14,7 +14,7 @@ from casid.estimation.regression_estimate import RegressionEstimate
 from casid.identification.grey_box import Prediction
 from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.report.document import Document, Labelled, Table
-from casid.report.numbers import interval_lines, interval_text
+from casid.report.numbers import interval_lines, interval_text, is_half_open
 from casid.report.texts.moments import black_box_document, convergence_document
 from casid.report.verdicts import judged_estimate, judged_study, status_words
 from casid.time_limit import out_of_time_text
@@ -70,9 +70,8 @@ def estimate_document(estimate: Estimate) -> Document:
 
 def _note(p: Estimated) -> str:
     """What is to be said of a row: an interval that is not the normal one, a bound, known."""
-    between = interval_text(p)
-    within = between if between.startswith("at ") else f"in {between}"
-    notes = [f"95 % {within}"] if p.ends is not None else []
+    within = "95 %" if is_half_open(p) else "95 % in"
+    notes = [f"{within} {interval_text(p)}"] if p.ends is not None else []
     return "; ".join([*notes, *([p.note] if p.note else ["known"] if p.known else [])])
 
 
