@@ -32,8 +32,11 @@ def names_wrong_types(error: type[CasidError] = DataError) -> Callable[[F], F]:
     """
 
     def decorate(function: F) -> F:
+        """The function, as it is where it succeeds."""
+
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
+            """Compare the arguments with their annotations once the function has failed."""
             try:
                 return function(*args, **kwargs)
             except (CasidError, *_FAILURES) as failure:
@@ -53,6 +56,7 @@ def methods_name_wrong_types(error: type[CasidError] = DataError) -> Callable[[T
     """`names_wrong_types` for the constructor and every public method of a class."""
 
     def decorate(cls: T) -> T:
+        """The class itself, its own methods replaced."""
         for name, member in list(vars(cls).items()):
             if inspect.isfunction(member) and (name == "__init__" or not name.startswith("_")):
                 setattr(cls, name, names_wrong_types(error)(member))
