@@ -1,4 +1,4 @@
-"""Units as headers write them: `phi [deg]`, `h (in cm)`, `P in kW`, `i/mA`, `t / s`, `phi_deg`."""
+"""Units as headers write them: `phi [deg]`, `h (in cm)`, `P in kW`, `q/(deg/s)`, `phi_deg`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from casid.errors import UnitError
 from casid.model.unit_names import ALIASES, NAMES
 from casid.model.units import ambiguous_units, parse_unit, same_dimension
 
-_BRACKET = re.compile(r"(.*?)\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*([^>]*?)\s*>)\s*(.*)")
-_LAST = re.compile(r"(.*[\])>])\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*([^>]*?)\s*>)")
+_ENCLOSED = r"\s*/?\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*([^>]*?)\s*>)"
+_BRACKET = re.compile(rf"(.*?){_ENCLOSED}\s*(.*)")
+_LAST = re.compile(rf"(.*[\])>]){_ENCLOSED}")
 _IN_WORD = re.compile(r"in\s+(\S.*)", re.IGNORECASE)  # of "(in cm)"
 _IN = re.compile(r"(.+?)[\s_,]+in[\s_]+(\S.*)", re.IGNORECASE)
 _SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")

@@ -205,8 +205,8 @@ def _at_start(criterion: SimulationError) -> Evaluation:
     """The criterion at its start; refuses simulations that diverge and records that are short."""
     x0 = criterion.start
     first = criterion.evaluate(x0)
-    if not np.isfinite(first.value):
-        what, remedy = _divergence(criterion, x0)
+    if not (np.isfinite(first.value) and np.all(np.isfinite(first.hessian))):
+        what, remedy = divergence(criterion, x0)
         raise DivergenceError(f"{criterion.model.name}: {what}; {remedy}", what)
     if criterion.n_samples <= len(x0):
         raise DataError(
@@ -310,37 +310,44 @@ class DivergenceError(SolveError):
         self.what = what or message
 
 
-def _divergence(criterion: SimulationError, x: Array) -> tuple[str, str]:
-    """What diverges, and the remedy."""
+def divergence(criterion: SimulationError, x: Array) -> tuple[str, str]:
+    """What diverges from the start values, and the remedy."""
     for e, d in enumerate(criterion.data):
         with np.errstate(all="ignore"):
             y, _, _ = criterion.simulate(x, e)
         bad = ~np.all(np.isfinite(y), axis=1)
+        what = f"the sensitivities of {d.name} are not finite from the start values"
         if bad.any():
             k = int(np.argmax(bad))
             what = f"the simulation of {d.name} diverges at t = {d.t[k]:g} s (sample {k}) from the "
-            if names := _singular_at_zero(criterion, x, e):
-                verb = "begins" if len(names) == 1 else "begin"
-                return (
-                    f"{what}start values: {', '.join(names)} {verb} at 0, where the equations have "
-                    "no finite value",
-                    f'declare a start other than 0, as in m.state("{names[0]}", ..., start=1.0), '
-                    "or the initial value where it is known, initial=1.0",
-                )
-            return f"{what}start values", f"change the start, fix a parameter, or {_SHOOTING}"
+            what += "start values"
+        if names := _singular_at_zero(criterion, x, e):
+            verb = "begins" if len(names) == 1 else "begin"
+            return (
+                f"{what}: {', '.join(names)} {verb} at 0, where the equations have "
+                f"no finite {'value' if bad.any() else 'slope'}",
+                f'declare a start other than 0, as in m.state("{names[0]}", ..., start=1.0), '
+                "or the initial value where it is known, initial=1.0",
+            )
+        if bad.any():
+            return what, f"change the start, fix a parameter, or {_SHOOTING}"
     what = "the sensitivities are not finite at the start"
     return what, f"change the start values, or {_SHOOTING}"
 
 
 def _singular_at_zero(criterion: SimulationError, x: Array, experiment: int) -> list[str]:
-    """States that begin at zero, each of which alone makes the derivatives infinite there."""
+    """States that begin at zero, each of which alone makes the equations singular there.
+
+    A quotient has no finite value where its divisor is zero, a root no finite slope.
+    """
     e = criterion.model.explicit()
-    slopes = ca.Function("f", [e.x, e.u, e.p], [ca.densify(e.f)])
+    slopes = ca.jacobian(e.f, e.x)
+    equations = ca.Function("f", [e.x, e.u, e.p], [ca.densify(e.f), ca.densify(slopes)])
     p, x0 = criterion.parameter_vector(x, experiment)
     u = criterion.data[experiment].u[0]
 
     def is_finite(states: Array) -> bool:
-        return bool(np.all(np.isfinite(slopes(states, u, p).full())))
+        return all(np.all(np.isfinite(v.full())) for v in equations(states, u, p))
 
     if is_finite(x0):
         return []

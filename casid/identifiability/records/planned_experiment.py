@@ -22,6 +22,7 @@ from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
 from casid.estimation.input_noise_floor import input_noise_floor
+from casid.estimation.simulation.minimization import divergence
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
@@ -214,10 +215,10 @@ def _information(criterion: SimulationError) -> Array:
         return np.zeros((0, 0))
     evaluation = criterion.evaluate(criterion.start)
     if not np.all(np.isfinite(evaluation.hessian)):
+        what, remedy = divergence(criterion, criterion.start)
         raise SolveError(
-            f"{criterion.model.name}: simulation or sensitivities of "
-            f"{', '.join(d.name for d in criterion.data)} diverge at these values; give others "
-            "with at={name: value}, or shorten the record with record.between(t0, t1)"
+            f"{criterion.model.name}: {what}; {remedy}; or give other values with "
+            "at={name: value}, or shorten the record with record.between(t0, t1)"
         )
     return evaluation.hessian
 

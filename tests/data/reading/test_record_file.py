@@ -293,6 +293,16 @@ def test_a_compound_ending_is_a_unit_and_an_index_before_a_slash_is_none(column,
     assert (found.unit, found.stem) == (unit, stem)
 
 
+@pytest.mark.parametrize("name", ["q", "H(t)", "omega_1"])
+@pytest.mark.parametrize("unit", ["deg/s", "m/s^2", "N m"])
+@pytest.mark.parametrize("between", ["/", " / ", " /"])
+def test_a_quotient_of_quantity_and_compound_unit_has_brackets_around_the_unit(name, unit, between):
+    """ISO 80000-1 writes the heading of a column as q/(deg/s): the slash is no part of the name."""
+    found = header_unit(f"{name}{between}({unit})")
+    assert found is not None
+    assert (found.unit, found.stem, found.is_sure) == (unit, name, True)
+
+
 @pytest.mark.parametrize("unit", ["W/m^2", "degC", "km/h", "l/min", "m³/h", "Meter per second"])
 @pytest.mark.parametrize("between", [" in ", ", in "])
 def test_the_word_in_between_name_and_unit_belongs_to_neither(unit, between):

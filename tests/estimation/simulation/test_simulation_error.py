@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
@@ -514,3 +515,22 @@ def test_a_state_that_equations_divide_by_is_named_where_it_begins_at_zero():
     with pytest.raises(casid.SolveError, match="V begins at 0") as caught:
         fit_model(m, [casid.Experiment(record)], FitSettings(starts=1), check_rank=False)
     assert 'm.state("V", ..., start=1.0)' in str(caught.value)
+
+
+def test_a_state_whose_root_flows_out_is_named_where_it_begins_at_zero():
+    """The root of an empty tank's level has a finite value and no finite slope: no fit begins."""
+    m = casid.Model("outflow of a tank")
+    h, q = m.state("h", "m"), m.input("q", "m^3/s", known=True)
+    A = m.parameter("A", "m^2", start=2.0, lower=0.1, upper=10)
+    C = m.constant("C", 0.01, "m^2.5/s")
+    m.balance(h, "tank", inertia=A, terms=[q, -C * ca.sqrt(h)])
+    m.output("outflow", C * ca.sqrt(h), "m^3/s")
+    record = casid.Record(
+        {"q": np.full(50, 0.01), "outflow": np.linspace(0.005, 0.008, 50)},
+        {"q": "m^3/s", "outflow": "m^3/s"},
+        Ts=1.0,
+    )
+    data = [casid.Experiment(record)]
+    with pytest.raises(casid.SolveError, match="h begins at 0.*no finite slope") as caught:
+        fit_model(m, data, FitSettings(starts=1))
+    assert 'm.state("h", ..., start=1.0)' in str(caught.value)
