@@ -246,14 +246,18 @@ def sensor_lag(model: Model, channel: str, longest: float) -> Effect:
     """A sensor that follows through 1/(tau s + 1), tau at most `longest` seconds.
 
     A measured input that lags is undone: what acted is u + tau du/dt, with the centred slope of
-    the record. To first order in tau a lag is a delay.
+    the record. To first order in tau a lag is a delay. Beside a delay of the same output it comes
+    first, whichever was found first: the two commute, and an output that steps with a held input
+    leaves a lag without steps, which a delay between samples can shift.
     """
     p = Parameter(f"lag_{channel}", "s", 0.0, lower=0.0, upper=longest)
     is_output = channel in model.outputs
 
     def apply(new: Model, names: Sequence[str]) -> None:
         if is_output:
-            new.stages = (*new.stages, Stage("lag", channel, names[0]))
+            place = _after_last_clip(new.stages, channel)
+            lag = Stage("lag", channel, names[0])
+            new.stages = (*new.stages[:place], lag, *new.stages[place:])
         else:
             carry(new, Stage("lead_input", channel, names[0]))
 
@@ -266,6 +270,12 @@ def sensor_lag(model: Model, channel: str, longest: float) -> Effect:
         limit=longest,
         priority=1 if is_output else 2,  # where it is the same as a delay, a delay is named
     )
+
+
+def _after_last_clip(stages: Sequence[Stage], channel: str) -> int:
+    """Where a channel's delays and lags begin that nothing clips any more."""
+    clips = [i for i, s in enumerate(stages) if (s.kind, s.channel) == ("clip", channel)]
+    return clips[-1] + 1 if clips else 0
 
 
 def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:

@@ -84,6 +84,24 @@ def test_a_late_sensor_gives_what_was_before_the_step(effect, samples):
     assert np.std(exact[settled]) > 0.2
 
 
+@pytest.mark.parametrize("order", [("lag", "delay"), ("delay", "lag")])
+@pytest.mark.parametrize("whole", [0, 2])
+def test_a_lag_and_a_delay_commute_also_where_the_output_steps(order, whole):
+    """Whichever is found first: behind the lag nothing steps, and a delay can be interpolated."""
+    m = washout()
+    for kind in order:
+        effect = sensor_lag(m, "y", 1.0) if kind == "lag" else time_delay(m, "y", 1.0)
+        m, _ = effect.extended(m)
+    record = casid.Record({"u": U, "y": np.zeros(N)}, {"u": "1", "y": "1"}, Ts=TS)
+    criterion = SimulationError(m, [casid.Experiment(record, {}, "r")], substeps=4)
+    x = criterion.start.copy()
+    x[criterion.names.index("lag_y")], x[criterion.names.index("delay_y")] = 0.25, whole * TS
+    found = criterion.simulate(x, 0)[0][:, 0]
+    exact = np.roll(behind_lag(0.25), whole)
+    largest = np.max(np.abs(np.diff(U)))
+    assert np.max(np.abs(found - exact)[40:]) < 2 * RATE * TS * largest / 16
+
+
 @pytest.mark.parametrize("samples", [0.0, 0.05, 0.3, 1.4])
 @pytest.mark.parametrize("effect", ["lag", "delay"])
 def test_its_tangent_is_the_derivative_of_what_is_computed(effect, samples):
