@@ -721,6 +721,16 @@ class Jumps:
         "standard errors of an instant, by which no step is worth a fit",
         f"{TESTS}/search/test_temporary_changes.py",
     )
+    z: float = _is(
+        1.96,
+        "standard errors within which an instant is followed: 95 % of a normal one",
+        f"{TESTS}/search/test_instant_errors.py",
+    )
+    distances: int = _is(
+        9,
+        "distances on each side at which an instant is followed, and again between two of them",
+        f"{TESTS}/search/test_instant_errors.py",
+    )
     ends: int = _is(
         41,
         "instants of a scan at either end of what is over again: all pairs of them are compared",

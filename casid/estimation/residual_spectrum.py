@@ -323,6 +323,22 @@ def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, list[Autoregressi
     return out, models
 
 
+def residual_products(fit: Fit, free: Array, columns: Sequence[Array]) -> Array:
+    """(m, m) C' Gamma C: the covariance of what columns C gather of a fit's weighted residual.
+
+    Parameters
+    ----------
+    free : (n,) bool, False at active bounds.
+    columns : (N, ny, m) of each record; missing samples are passed over.
+    """
+    models, together = residual_autoregressions(fit, free)
+    out = np.zeros((columns[0].shape[2],) * 2)
+    for c, d in zip(columns, fit.criterion.data, strict=True):
+        there = [c[d.used[:, i], i] for i in range(len(models))]
+        out += _coloured_products(*_transformed(there), models, together)
+    return out
+
+
 def student_factors(
     under: Callable[[Sequence[Autoregression]], Array],
     models: Sequence[Autoregression],

@@ -3,10 +3,20 @@
 Instants are searched on a grid and no variables of the last fit. About it the residual is linear in
 them, too: with T the sensitivities of the variables and P those of the instants,
 
-    S = P'P - P'T (T'T)^-1 T'P,    cov(t) = s^2 S^-1,    dx/dt = -(T'T)^-1 T'P                (1)
+    L = P - T (T'T)^-1 T'P,    cov(t) = (L'L)^-1 L' Gamma L (L'L)^-1,
+    dx/dt = -(T'T)^-1 T'P                                                                     (1)
 
-(Seber and Wild 2003, section 5.9: conditioning on estimates), s^2 the mean square of the residual.
-The size of a short change and its length make up for one another.
+(Seber and Wild 2003, section 5.9: conditioning on estimates), Gamma the covariance of the residual
+by its autoregressions. The size of a short change and its length make up for one another.
+
+(1) is the slope at one instant. What hardly acts for a while may set in at any time of it, so the
+error of an instant is from the sum of squares S(t) as far as it matters, its size as large as it is
+best there and all else linear:
+
+    sd = max |t - t^| / z  over  S(t) - min S <= z^2 s^2 f,    z = 1.96                       (2)
+
+(Bates and Watts 1988, section 6.1), s^2 the mean square of the residual and f the variance by (1)
+in units of that by white noise: a residual that remembers tells less.
 """
 
 from __future__ import annotations
@@ -21,6 +31,7 @@ from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.thresholds import JUMPS
+from casid.estimation.residual_spectrum import residual_products
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.clock_effects import KNOCK, at_instant
 from casid.model.effects.effect import Effect
@@ -54,10 +65,9 @@ def moved_in_time(model: Model, adopted: Sequence[Adopted], fit: Fit) -> list[Ca
         return None
     at = _linearised(fit, own)
     step = np.linalg.pinv(at.left.T @ at.left, hermitian=True) @ (at.left.T @ at.residual)
-    if np.all(np.abs(step) < JUMPS.still * np.sqrt(np.maximum(np.diag(at.covariance), 0.0))):
+    if np.all(np.abs(step) < JUMPS.still * at.white):
         return None
-    data = fit.criterion.data
-    start, stop = min(float(d.t[0]) for d in data), max(float(d.t[-1]) for d in data)
+    start, stop = _span(fit)
     steps, causes = iter(step.tolist()), []
     timed = {id(a) for a in own}
     for a in adopted:
@@ -82,9 +92,23 @@ class _Linearised:
     """A fit about its instants: residual (M,), P less what the variables take of it, and (1)."""
 
     residual: Array
+    tangent: Array  # (M, n) T, the columns of one length; zero at active bounds
     left: Array  # (M, m)
     moved: Array  # (n, m) dx/dt
-    covariance: Array  # (m, m) of the instants
+    inverse: Array  # (m, m) of L'L
+    mean_square: float  # of the residual
+
+    @property
+    def white(self) -> Array:
+        """Standard errors of the instants (m,) [s], were the residual white."""
+        return np.asarray(np.sqrt(self.mean_square * np.maximum(np.diag(self.inverse), 0.0)))
+
+    def covariance(self, fit: Fit) -> Array:
+        """(1) of the instants, (m, m) [s^2]."""
+        ny = len(fit.criterion.outputs)
+        rows = np.cumsum([len(d.t) * ny for d in fit.criterion.data])
+        left = [part.reshape(-1, ny, part.shape[1]) for part in np.split(self.left, rows[:-1])]
+        return self.inverse @ residual_products(fit, fit.solution.is_free, left) @ self.inverse
 
 
 def _linearised(fit: Fit, own: Sequence[Adopted]) -> _Linearised:
@@ -92,24 +116,32 @@ def _linearised(fit: Fit, own: Sequence[Adopted]) -> _Linearised:
     residual, tangent, instants = _columns(fit, own)
     free = fit.solution.is_free
     size = np.sqrt(np.maximum(np.einsum("ij,ij->j", tangent, tangent), TINY))
-    q, r = np.linalg.qr(tangent[:, free] / size[free])
+    tangent = np.where(free, tangent / size, 0.0)
+    q, r = np.linalg.qr(tangent[:, free])
     along = q.T @ instants
     left = instants - q @ along
     freedom = max(len(residual) - int(free.sum()) - instants.shape[1], 1)
-    covariance = residual @ residual / freedom * np.linalg.pinv(left.T @ left, hermitian=True)
+    inverse = np.linalg.pinv(left.T @ left, hermitian=True)
     moved = np.zeros((len(fit.x), instants.shape[1]))
     moved[free] = -np.linalg.lstsq(r, along, rcond=1e-10)[0] / size[free][:, None]
-    return _Linearised(residual, left, moved, covariance)
+    mean_square = float(residual @ residual) / freedom
+    return _Linearised(residual, tangent, left, moved, inverse, mean_square)
 
 
 def _errors(
     fit: Fit, own: Sequence[Adopted]
 ) -> list[tuple[Adopted, tuple[dict[str, float], ...], tuple[float, ...]]]:
     """Of each cause: what moves with its instants, and their standard errors [s]."""
-    at = _linearised(fit, own)
-    values, vectors = np.linalg.eigh(at.covariance)
+    at, instants = _linearised(fit, own), _instants(fit, own)
+    covariance = at.covariance(fit)
+    local = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    memory = (local / np.maximum(at.white, TINY)) ** 2
+    errors = np.array(
+        [_error(fit, at, i, instant, memory[i]) for i, instant in enumerate(instants)]
+    )
+    wider = errors / np.maximum(local, TINY)
+    values, vectors = np.linalg.eigh(covariance * np.outer(wider, wider))
     shifts = at.moved @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    errors = np.sqrt(np.maximum(np.diag(at.covariance), 0.0))
     out, first = [], 0
     for a in own:
         place = slice(first, first + len(_ends(a.candidate.effect)))
@@ -122,10 +154,90 @@ def _errors(
     return out
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Instant:
+    """One end of a cause [s], the sign of the step there, and the times it lies between."""
+
+    cause: Adopted
+    time: float
+    sign: float
+    room: tuple[float, float]
+
+    def step(self, model: Model, later: float = 0.0) -> Effect:
+        """What sets in there, or that much later [s], and stays."""
+        return at_instant(self.cause.candidate.effect, model, self.time + later)
+
+    def size(self, fit: Fit) -> float:
+        """Of the step, in the unit of the cause."""
+        return self.sign * fit.values[self.cause.candidate.names[0]]
+
+
+def _instants(fit: Fit, own: Sequence[Adopted]) -> list[_Instant]:
+    """The ends of the causes, one cause after the other."""
+    out = []
+    for a in own:
+        ends = _ends(a.candidate.effect)
+        times = [_span(fit)[0], *(t for t, _ in ends), _span(fit)[1]]
+        out += [_Instant(a, t, sign, (times[j], times[j + 2])) for j, (t, sign) in enumerate(ends)]
+    return out
+
+
+def _span(fit: Fit) -> tuple[float, float]:
+    """The first and the last instant of the records [s]."""
+    data = fit.criterion.data
+    return min(float(d.t[0]) for d in data), max(float(d.t[-1]) for d in data)
+
+
 def _ends(effect: Effect) -> list[tuple[float, float]]:
     """The instants of an effect [s], each with the sign of the step there."""
     both = ((effect.variant, 1.0), (effect.end, -1.0))
     return [(t, sign) for t, sign in both if t is not None]
+
+
+def _error(fit: Fit, at: _Linearised, i: int, instant: _Instant, memory: float) -> float:
+    """Standard error of one instant by (2) [s]; `memory` is f."""
+    local = float(at.white[i] * np.sqrt(memory))
+    room = max(abs(end - instant.time) for end in instant.room)
+    if local <= 0.0 or room <= 0.0:
+        return local
+    most = JUMPS.z**2 * at.mean_square * memory
+    away = np.geomspace(min(JUMPS.z * local, 0.01 * room), room, JUMPS.distances)
+    tried = np.concatenate([-away[::-1], [0.0], away])
+    moments, (first, last) = instant.time + tried, instant.room
+    tried = tried[(first < moments) & (moments < last)]
+    rises = _rises(fit, at, i, instant, tried)
+    low, high = _bracketed(tried, rises, most)
+    finer = [np.linspace(end[0], end[1], JUMPS.distances) for end in (low, high)]
+    tried = np.concatenate([tried, *finer])
+    rises = np.append(rises, _rises(fit, at, i, instant, np.concatenate(finer)))
+    return float(np.abs(tried[rises - rises.min() <= most]).max()) / JUMPS.z
+
+
+def _bracketed(distances: Array, rises: Array, most: float) -> tuple[Array, Array]:
+    """The outermost distances within (2), each with the next one outside where there is one."""
+    inside = np.flatnonzero(rises - rises.min() <= most)
+    first, last = int(inside[0]), int(inside[-1])
+    return (
+        distances[[max(first - 1, 0), first]],
+        distances[[last, min(last + 1, len(distances) - 1)]],
+    )
+
+
+def _rises(fit: Fit, at: _Linearised, i: int, instant: _Instant, distances: Array) -> Array:
+    """S at distances from an instant [s], less S there."""
+    model, size = fit.criterion.model, instant.cause.candidate.names[0]
+    steps = [instant.step(model), *(instant.step(model, d) for d in distances.tolist())]
+    _, tangent, psi = _stacked(fit, steps)
+    own = tangent[:, fit.criterion.names.index(size)]
+    moved = np.column_stack([own, own[:, None] + instant.sign * (psi[:, 1:] - psi[:, :1])])
+    without = at.residual + fit.values[size] * own
+    others = np.delete(at.tangent, fit.criterion.names.index(size), axis=1)
+    others = np.column_stack([others[:, others.any(axis=0)], np.delete(at.left, i, axis=1)])
+    others = np.linalg.qr(others)[0]
+    moved -= others @ (others.T @ moved)
+    squares = np.maximum(np.einsum("ij,ij->j", moved, moved), TINY)
+    explained = (moved.T @ without) ** 2 / squares
+    return np.asarray(explained[0] - explained[1:])
 
 
 def _columns(fit: Fit, own: Sequence[Adopted]) -> tuple[Array, Array, Array]:
@@ -134,15 +246,17 @@ def _columns(fit: Fit, own: Sequence[Adopted]) -> tuple[Array, Array, Array]:
     A step that is later by a sample has less of it: that of an instant is the difference of two,
     half a sample on either side.
     """
-    model = fit.criterion.model
+    model, instants = fit.criterion.model, _instants(fit, own)
     half = 0.5 * min(d.Ts for d in fit.criterion.data)
-    steps, factors = [], []
-    for a in own:
-        size = fit.values[a.candidate.names[0]]
-        for t, sign in _ends(a.candidate.effect):
-            steps += [at_instant(a.candidate.effect, model, t + side) for side in (half, -half)]
-            factors.append(sign * size / (2 * half))
+    steps = [instant.step(model, side) for instant in instants for side in (half, -half)]
+    residual, tangent, psi = _stacked(fit, steps)
+    sizes = np.array([instant.size(fit) for instant in instants])
+    return residual, tangent, (psi[:, 0::2] - psi[:, 1::2]) * (sizes / (2 * half))
+
+
+def _stacked(fit: Fit, steps: Sequence[Effect]) -> tuple[Array, Array, Array]:
+    """Residual (M,), sensitivities of the variables (M, n) and of steps (M, m), all records."""
     columns = extended_columns(fit, steps)
     parts = [columns.of_record(columns.wide.start, k) for k in range(len(columns.wide.data))]
     residual, tangent, psi = (np.concatenate([part[i] for part in parts]) for i in range(3))
-    return residual, tangent, (psi[:, 0::2] - psi[:, 1::2]) * np.array(factors)
+    return residual, tangent, psi
