@@ -1259,6 +1259,12 @@ class Budget:
         "to be tested and adopted",
         _BUDGET,
     )
+    rounds: float = _is(
+        0.85,
+        "of the time that is left, when no further cause is sought: whether those found need each "
+        "other is tested in the rest",
+        _BUDGET,
+    )
     adoption: float = _is(
         0.7,
         "of the time of the search, when no further cause is sought: a disturbance in their place "

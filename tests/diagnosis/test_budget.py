@@ -110,6 +110,24 @@ def test_after_the_search_the_causes_stand_and_the_rest_is_listed(record, monkey
     assert not found.proposals
 
 
+@pytest.mark.slow
+def test_causes_found_when_the_rounds_end_are_tested_beside_each_other(record, monkeypatch):
+    """The clock stands but for the second round, which takes what the rounds have of the search."""
+    clock = Clock()
+    monkeypatch.setattr(time_limit, "time", clock)
+    factor = time_limit.time_factor()
+
+    def progress(text: str) -> None:
+        if text == "test every effect (round 2)":
+            clock.ahead += 0.9 * 0.7 * 0.7 * 10_000 * factor
+
+    found = casid.diagnose(
+        roll_decay.problem, record, progress=progress, budget=10_000.0, advise=False
+    )
+    assert "round 2 of the search" in found.not_done
+    assert not [what for what in found.not_done if what.startswith("the test whether")]
+
+
 def test_a_budget_that_is_no_time_is_refused(record):
     with pytest.raises(casid.DataError, match=r"budget = -1 s is no time.*--budget 600"):
         casid.diagnose(roll_decay.problem, record, budget=-1.0)

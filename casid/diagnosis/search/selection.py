@@ -42,7 +42,7 @@ from casid.diagnosis.search.simulation_errors import (
     why_not_adopted,
 )
 from casid.diagnosis.search.swinging_parts import may_move
-from casid.diagnosis.thresholds import COMPARISON, FRICTION, ROUNDS
+from casid.diagnosis.thresholds import BUDGET, COMPARISON, FRICTION, ROUNDS
 from casid.estimation.holdout import Split, why_worse
 from casid.estimation.local_rank import rank_of
 from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
@@ -77,13 +77,14 @@ def adopt_causes(
     errors = simulation_errors(base_fit if under is None else at.fit, split, units, under)
     state = _Selection(search, split, once, units, at, errors, at, base_fit, errors, first)
     refine = Refinement(search, split, once, units, at, base_fit)
-    while len(state.adopted) < search.max_causes and not state.is_done and state.adopt_next():
-        state.exchange_last()
-        if under is None:
-            state.sharpen(refine)
-            state.set_in_motion(refine)
-            state.reshape(refine)
-            state.exchange_for_prediction(refine)
+    with search.attempts.within(BUDGET.rounds):
+        while len(state.adopted) < search.max_causes and not state.is_done and state.adopt_next():
+            state.exchange_last()
+            if under is None:
+                state.sharpen(refine)
+                state.set_in_motion(refine)
+                state.reshape(refine)
+                state.exchange_for_prediction(refine)
     if not state.adopted:
         return Adoption((), at, None)
     found, attempt = state.found, search.attempts.attempt
