@@ -85,7 +85,7 @@ class Innovations:
         if self.taps is not None and len(columns) > LENGTHS * self.taps.shape[2]:
             out = _in_parts(self.taps, columns)
         else:
-            out = _filtered(self.inverse, columns, self.size)
+            out = filtered(self.inverse, columns, self.size)
         flat = out.reshape(len(out) * out.shape[1], out.shape[2])
         if len(self.added):
             scale = 1 / np.sqrt(1 + self.added) - 1
@@ -98,12 +98,12 @@ class Innovations:
         if len(self.added):
             scale = 1 / np.sqrt(1 + self.added) - 1
             flat = flat + self.start @ (scale[:, None] * (self.start.T @ flat))
-        return _filtered(_adjoint(self.inverse), flat.reshape(columns.shape), self.size)
+        return filtered(_adjoint(self.inverse), flat.reshape(columns.shape), self.size)
 
     def drawn(self, samples: int, rng: np.random.Generator) -> Array:
         """(N, n) of the process, of so many samples."""
         white = rfft(rng.standard_normal((self.size, len(self.root))), axis=0)
-        coloured = np.einsum("ijf,fj->fi", _inverse(self.inverse), white)
+        coloured = np.einsum("ijf,fj->fi", inverse_of(self.inverse), white)
         return np.asarray(irfft(coloured, self.size, axis=0)[:samples])
 
     def log_determinant(self, samples: int) -> float:
@@ -185,7 +185,7 @@ def _together(S: ComplexArray, size: int) -> ComplexArray:
         g[:, :, 0] *= 0.5
         g[:, :, half] *= 0.5
         g[:, :, half + 1 :] = 0.0
-        inverse = _product(_inverse(rfft(g)), inverse)
+        inverse = _product(inverse_of(rfft(g)), inverse)
     return inverse
 
 
@@ -228,7 +228,7 @@ def _adjoint(a: ComplexArray) -> ComplexArray:
     return np.asarray(a.conj().swapaxes(0, 1))
 
 
-def _inverse(a: ComplexArray) -> ComplexArray:
+def inverse_of(a: ComplexArray) -> ComplexArray:
     """Inverses (n, n, F), frequency by frequency."""
     if len(a) == 2:  # a tenth of the time of the general one
         (p, q), (r, s) = a
@@ -245,7 +245,7 @@ def _start(S: ComplexArray, inverse: ComplexArray, size: int, samples: int) -> t
         """The second term of (2) times columns (N n, k)."""
         columns = flat.reshape(samples, n, flat.shape[1])
         for filters in (back, S, inverse):
-            columns = _filtered(filters, columns, size)
+            columns = filtered(filters, columns, size)
         return columns.reshape(flat.shape) - flat
 
     rng = np.random.default_rng(0)
@@ -266,7 +266,7 @@ def _start(S: ComplexArray, inverse: ComplexArray, size: int, samples: int) -> t
     return np.asarray(basis @ vectors[:, kept]), values[kept]
 
 
-def _filtered(filters: ComplexArray, columns: Array, size: int) -> Array:
+def filtered(filters: ComplexArray, columns: Array, size: int) -> Array:
     """Columns (N, n, m) through filters (n, n, F), nothing before or after them."""
     N, n, m = columns.shape
     out = np.empty(columns.shape)
@@ -295,6 +295,6 @@ def _in_parts(taps: Array, columns: Array) -> Array:
     padded[before : before + N] = columns
     out = np.empty(columns.shape)
     for first in range(0, N, step):
-        part = _filtered(filters, padded[first : first + size], size)
+        part = filtered(filters, padded[first : first + size], size)
         out[first : first + step] = part[before : before + min(step, N - first)]
     return out

@@ -11,7 +11,10 @@ solves E' Gamma^-1 E z = -E' Gamma^-1 r, by conjugate gradients; the same system
 record's ends and far neighbours give to it is banded, and comes next to the solution at once.
 Where few neighbours leave it positive definite these do: the steps that more of them save take
 less time than their band. Of few missing samples an orthonormal basis of W E is kept: what they
-could have given is the projection on it.
+could have given is the projection on it. Of few that there are their covariance is factored, and
+the record that minimises is what they make expected of it,
+
+    r = Gamma E_o Gamma_oo^-1 r_o.                                                            (2)
 """
 
 from __future__ import annotations
@@ -20,10 +23,10 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import irfft
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve, cho_solve_banded, cholesky, cholesky_banded
 
 from casid.arrays import TINY, Array, BoolArray
-from casid.estimation.innovations import Innovations
+from casid.estimation.innovations import ComplexArray, Innovations, filtered, inverse_of
 from casid.estimation.varying_innovations import VaryingInnovations
 
 FARTHEST = 200
@@ -35,6 +38,9 @@ NEGLIGIBLE = 1e-4
 """Of Gamma^-1, relative to its diagonal: neighbours with less are far."""
 FEW = 1_000_000
 """Numbers in the basis of what missing samples could have given, at most: 8 MB."""
+FEW_SEEN = 1500
+"""Samples that there are, at most, whose covariance is factored: 18 MB, a tenth of a second. A
+blood's 1100 samples on a clock of 7200 minutes are whitened twenty times faster than by steps."""
 CONVERGED = 1e-5
 """Relative residual at which conjugate gradients end."""
 STEPS = 60
@@ -101,11 +107,13 @@ class PartialInnovations:
     def __init__(self, whole: Innovations, used: BoolArray) -> None:
         self.whole, self.used = whole, used
         self._places = np.flatnonzero(~used.ravel())
-        near = self._banded(NEAREST)
-        self._factor = self._wide if near is None else near
+        self._there = np.flatnonzero(used.ravel())
 
     def whiten(self, columns: Array) -> Array:
         """e (N, n, m) of columns r (N, n, m); missing samples of these do not matter."""
+        factor = self._factor_of_seen
+        if factor is not None:
+            return self.whole.whiten(self._expected(columns, factor))
         return self.seen(self.whole.whiten(columns * self.used[:, :, None]))
 
     def seen(self, white: Array) -> Array:
@@ -133,9 +141,37 @@ class PartialInnovations:
         return white + self._lost(rng.standard_normal(white.shape))
 
     def log_determinant(self, samples: int) -> float:
-        """log det of the covariance of the samples that there are (its banded part)."""
+        """log det of the covariance of the samples that there are (by steps: its banded part)."""
+        if self._factor_of_seen is not None:
+            return 2 * float(np.sum(np.log(np.diag(self._factor_of_seen))))
         own = 2 * float(np.sum(np.log(np.maximum(self._wide[0], TINY))))
         return self.whole.log_determinant(samples) + own
+
+    def _expected(self, columns: Array, factor: Array) -> Array:
+        """(2): columns (N, n, m) as the samples that there are make them expected."""
+        given = columns.reshape(self.used.size, -1)[self._there]
+        out = np.zeros((self.used.size, given.shape[1]))
+        out[self._there] = cho_solve((factor, True), given, check_finite=False)
+        return filtered(self._spectrum, out.reshape(columns.shape), self.whole.size)
+
+    @cached_property
+    def _factor_of_seen(self) -> Array | None:
+        """Lower Cholesky factor of Gamma_oo; None where it is large, or has none."""
+        if len(self._there) > min(FEW_SEEN, len(self._places)):
+            return None
+        C = irfft(self._spectrum, self.whole.size)
+        t, a = np.divmod(self._there, self.used.shape[1])
+        of = C[a[:, None], a[None, :], t[:, None] - t[None, :]]
+        try:
+            return np.asarray(cholesky(of, lower=True))
+        except np.linalg.LinAlgError:
+            return None
+
+    @cached_property
+    def _spectrum(self) -> ComplexArray:
+        """(n, n, F) of the process."""
+        H = inverse_of(self.whole.inverse)
+        return np.asarray(np.einsum("ikf,jkf->ijf", H, H.conj()))
 
     def _lost(self, e: Array) -> Array:
         """The part of whitened columns that missing samples could have given, (N, n, m)."""
@@ -189,6 +225,12 @@ class PartialInnovations:
             before, product = product, np.sum(left * near, axis=0)
             along = near + product / np.maximum(before, TINY) * along
         return z
+
+    @cached_property
+    def _factor(self) -> Array:
+        """The factor with the nearest neighbours, or else with far ones."""
+        near = self._banded(NEAREST)
+        return self._wide if near is None else near
 
     @cached_property
     def _wide(self) -> Array:

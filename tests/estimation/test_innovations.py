@@ -110,13 +110,13 @@ def test_parts_of_a_long_record_are_whitened_as_the_whole():
 def test_few_transforms_whiten_a_record_by_a_filter_of_two_taps(monkeypatch, samples, calls):
     """z_k - a z_(k-1) in parts of 1024 samples: eight at a time took thousands of calls."""
     taps, columns = np.array([[[1.0, -0.4]]]), np.random.default_rng(0).normal(size=(samples, 1, 3))
-    parts, whole = [], innovations._filtered
+    parts, whole = [], innovations.filtered
 
     def counted(*arguments):
         parts.append(1)
         return whole(*arguments)
 
-    monkeypatch.setattr(innovations, "_filtered", counted)
+    monkeypatch.setattr(innovations, "filtered", counted)
     found = innovations._in_parts(taps, columns)
     expected = lfilter([1.0, -0.4], [1.0], columns, axis=0)
     assert found == pytest.approx(expected, abs=1e-12)

@@ -52,6 +52,8 @@ def gaps(kind: str, N: int, ny: int, rng: np.random.Generator) -> BoolArray:
     used = np.ones((N, ny), dtype=bool)
     if kind == "a fifth at random":
         return np.asarray(rng.random((N, ny)) > 0.2)
+    if kind == "four fifths at random":
+        return np.asarray(rng.random((N, ny)) > 0.8)
     if kind == "bursts":
         for first in rng.integers(0, N - 30, 4):
             used[first : first + 30, rng.integers(ny)] = False
@@ -71,6 +73,7 @@ def test_whitened_columns_have_the_inner_products_of_what_there_is(
     By conjugate gradients, and by the projection that there is of few missing samples.
     """
     monkeypatch.setattr(missing_samples, "FEW", few)
+    monkeypatch.setattr(missing_samples, "FEW_SEEN", 0)
     N, rng = 300, np.random.default_rng(5)
     omega = np.linspace(0.0, np.pi, 2049)
     S, used = spectrum(omega, ny), gaps(kind, 300, ny, rng)
@@ -86,6 +89,28 @@ def test_whitened_columns_have_the_inner_products_of_what_there_is(
     assert partial.log_determinant(N) == pytest.approx(logs, abs=0.02 * N * ny)
 
 
+@pytest.mark.parametrize("ny", [1, 2])
+def test_a_few_samples_are_whitened_at_once_by_their_own_covariance(
+    monkeypatch: pytest.MonkeyPatch, ny: int
+) -> None:
+    """The record that they make expected, whitened, has a_o' Gamma_oo^-1 b_o: no step is needed.
+
+    The determinant is that of their covariance, ends of the record and all.
+    """
+    N, rng, omega = 400, np.random.default_rng(6), np.linspace(0.0, np.pi, 2049)
+    S, used = spectrum(omega, ny), gaps("four fifths at random", N, ny, rng)
+    partial = PartialInnovations(innovations_of(omega, S, N), used)
+    monkeypatch.setattr(partial, "_near", None)
+    columns = rng.standard_normal((N, ny, 3))
+    white = partial.whiten(np.where(used[:, :, None], columns, 1e3)).reshape(-1, 3)
+    seen = used.ravel()
+    there, flat = covariance(S, N)[np.ix_(seen, seen)], columns.reshape(-1, 3)[seen]
+    exact = flat.T @ np.linalg.solve(there, flat)
+    assert white.T @ white == pytest.approx(exact, abs=1e-7 * np.abs(exact).max())
+    logs = float(np.linalg.slogdet(there)[1])
+    assert partial.log_determinant(N) == pytest.approx(logs, rel=1e-6)
+
+
 def test_neighbours_that_are_far_are_left_to_the_steps_of_conjugate_gradients(monkeypatch):
     """Four of five samples missing, and noise that lasts 90 samples beside white noise.
 
@@ -93,6 +118,7 @@ def test_neighbours_that_are_far_are_left_to_the_steps_of_conjugate_gradients(mo
     the inner products that its steps end with, and half a dozen steps more cost less than it does.
     """
     monkeypatch.setattr(missing_samples, "FEW", 0)
+    monkeypatch.setattr(missing_samples, "FEW_SEEN", 0)
     N, rng, omega = 2000, np.random.default_rng(8), np.linspace(0.0, np.pi, 2049)
     S = (1e-3 + 1e-2 / np.abs(1 + 90j * omega) ** 2)[:, None, None]
     used = np.zeros((N, 1), dtype=bool)
