@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cho_factor, cho_solve, cholesky
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, BoolArray
 
 ComplexArray = NDArray[np.complex128]
 
@@ -92,13 +92,13 @@ class Innovations:
             flat += self.start @ (scale[:, None] * (self.start.T @ flat))
         return flat.reshape(columns.shape)
 
-    def transposed(self, columns: Array) -> Array:
-        """The transpose of `whiten` times columns (N, n, m)."""
+    def transposed(self, columns: Array, outputs: NDArray[np.intp] | slice = slice(None)) -> Array:
+        """The transpose of `whiten` times columns (N, n, m), of all outputs or of some."""
         flat = columns.reshape(len(columns) * columns.shape[1], columns.shape[2])
         if len(self.added):
             scale = 1 / np.sqrt(1 + self.added) - 1
             flat = flat + self.start @ (scale[:, None] * (self.start.T @ flat))
-        return filtered(_adjoint(self.inverse), flat.reshape(columns.shape), self.size)
+        return filtered(_adjoint(self.inverse)[outputs], flat.reshape(columns.shape), self.size)
 
     def drawn(self, samples: int, rng: np.random.Generator) -> Array:
         """(N, n) of the process, of so many samples."""
@@ -267,18 +267,20 @@ def _start(S: ComplexArray, inverse: ComplexArray, size: int, samples: int) -> t
 
 
 def filtered(filters: ComplexArray, columns: Array, size: int) -> Array:
-    """Columns (N, n, m) through filters (n, n, F), nothing before or after them."""
+    """Columns (N, n, m) through filters (l, n, F), nothing before or after them: (N, l, m)."""
     N, n, m = columns.shape
-    out = np.empty(columns.shape)
-    is_alone = not filters[~np.eye(n, dtype=bool)].any()
+    out = np.zeros((N, len(filters), m))
+    passes: BoolArray = np.any(filters, axis=2)
     for first in range(0, m, GROUP):
         group = slice(first, first + GROUP)
+        moving = [j for j in range(n) if passes[:, j].any() and columns[:, j, group].any()]
         # Row by row: with a stride between its samples, a transform of a long record takes longer.
-        spectra = [rfft(np.ascontiguousarray(columns[:, j, group].T), size) for j in range(n)]
-        for i in range(n):
-            among = [i] if is_alone else range(n)
-            total = sum(filters[i, j] * spectra[j] for j in among)
-            out[:, i, group] = irfft(total, size, overwrite_x=True)[:, :N].T
+        rows = {j: np.ascontiguousarray(columns[:, j, group].T) for j in moving}
+        spectra = {j: rfft(row, size) for j, row in rows.items()}
+        for i, through in enumerate(passes):
+            parts = [filters[i, j] * spectra[j] for j in moving if through[j]]
+            if parts:
+                out[:, i, group] = irfft(sum(parts), size, overwrite_x=True)[:, :N].T
     return out
 
 

@@ -1,8 +1,9 @@
 """Variances under many spectra of one force at once: a grid of shapes is compared in one pass.
 
 The same scoring as `noise.variances`, a candidate a slice: its steps are weighted least squares
-without negative variances, in as many unknowns as there are sources of noise. These are few, so
-every choice of zeros is tried, and the feasible one of the smallest error is the solution.
+without negative variances, in as many unknowns as there are sources of noise. These are few: where
+exchanging zeros does not end, every choice of them is tried, and the feasible one of the smallest
+error is the solution.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ ENUMERATED = 7
 """Free variances up to which every choice of zeros is tried: two sensors, two measured inputs and
 two forces are six, and 126 choices of a small system are solved together in less time than one
 spectrum's is alone."""
+EXCHANGES = 4
+"""Of zeros, before every choice is tried: two are enough as a rule."""
 RIDGE = 1e-12
 """Of columns of unit size, which keeps equations of dependent ones regular."""
 
@@ -69,25 +72,41 @@ def _one(spectra: Spectra, design: Array, given: Array, tolerance: float) -> flo
 
 
 def _least(a: Array, b: Array) -> Array:
-    """(G, k) non-negative x that minimise |a x - b| for a (G, B, k) and b (G, B)."""
+    """(G, k) non-negative x that minimise |a x - b| for a (G, B, k) and b (G, B).
+
+    By exchanging all unknowns of the wrong sign at once: those below zero for those that would rise
+    from it (Judice and Pires, Comput. Oper. Res. 21 (1994) 587-596); few slices need every choice.
+    """
     turned = a.transpose(0, 2, 1)
     normal, right = turned @ a, (turned @ b[:, :, None])[:, :, 0]
     scale = np.sqrt(np.einsum("gkk->gk", normal)) + TINY
     normal = normal / (scale[:, :, None] * scale[:, None, :]) + RIDGE * np.eye(a.shape[2])
     right = right / scale
-    x = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    below = np.flatnonzero(np.any(x < 0.0, axis=1))
-    if below.size:
-        x[below] = _with_zeros(normal[below], right[below])
+    x, kept, open_ = np.zeros(right.shape), np.ones(right.shape, dtype=bool), np.arange(len(right))
+    for _ in range(EXCHANGES):
+        x[open_] = _of_those(normal[open_], right[open_], kept[open_].astype(float))
+        slope = right[open_] - (normal[open_] @ x[open_][:, :, None])[:, :, 0]
+        wrong = np.where(kept[open_], x[open_] < 0.0, slope > RIDGE * np.abs(right[open_]))
+        kept[open_] ^= wrong
+        open_ = open_[wrong.any(axis=1)]
+        if not open_.size:
+            break
+    if open_.size:
+        x[open_] = _with_zeros(normal[open_], right[open_])
     return np.asarray(x / scale)
+
+
+def _of_those(normal: Array, right: Array, kept: Array) -> Array:
+    """Solutions (..., k) of normal equations (..., k, k) in the unknowns kept, the others zero."""
+    held = (1.0 - kept)[..., None] * np.eye(right.shape[-1])
+    among = normal * (kept[..., :, None] * kept[..., None, :]) + held
+    return np.asarray(np.linalg.solve(among, (right * kept)[..., None])[..., 0])
 
 
 def _with_zeros(normal: Array, right: Array) -> Array:
     """(G, k) the best of all choices of zeros, of normal equations (G, k, k) and (G, k)."""
     kept = np.array(list(product((1.0, 0.0), repeat=right.shape[1])))[1:-1]  # (choices, k)
-    both = kept[:, :, None] * kept[:, None, :]
-    held = (1.0 - kept)[:, :, None] * np.eye(right.shape[1])
-    x = np.linalg.solve(normal[:, None] * both + held, (right[:, None] * kept)[..., None])[..., 0]
+    x = _of_those(normal[:, None], right[:, None], kept)
     # At a solution with its own zeros |a x - b|^2 falls by right' x.
     fall = np.where(np.all(x >= 0.0, axis=2), np.einsum("gk,gck->gc", right, x), 0.0)
     best, rows = np.argmax(fall, axis=1), np.arange(len(right))

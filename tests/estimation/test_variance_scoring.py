@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
 from casid.estimation import variance_scoring
 from casid.estimation.noise import variances, whittle
@@ -73,3 +74,22 @@ def test_more_sources_than_choices_of_zeros_are_tried_for_are_scored_one_by_one(
     spectra = Spectra(design[0], power, np.ones(2 * BANDS), np.tile(OMEGA, 2), OUTPUT)
     found = likelihoods(spectra, design, np.full(ENUMERATED + 1, np.nan), 1e-6)
     assert np.argmin(found) == 0
+
+
+@pytest.mark.parametrize("unknowns", [2, 4, 6])
+def test_steps_of_the_scoring_are_least_squares_without_negative_unknowns(unknowns: int) -> None:
+    """Of random problems, half of whose unknowns are zero at the solution."""
+    rng = np.random.default_rng(unknowns)
+    a, b = rng.random((200, 40, unknowns)), rng.standard_normal((200, 40))
+    found = variance_scoring._least(a, b)
+    assert 0.2 < np.mean(found == 0.0) < 0.9
+    exact = [nnls(*pair)[0] for pair in zip(a, b, strict=True)]
+    np.testing.assert_allclose(found, exact, atol=1e-9)
+
+
+def test_every_choice_of_zeros_is_tried_where_exchanging_them_does_not_end(monkeypatch) -> None:
+    rng = np.random.default_rng(3)
+    a, b = rng.random((50, 40, 5)), rng.standard_normal((50, 40))
+    soon = variance_scoring._least(a, b)
+    monkeypatch.setattr(variance_scoring, "EXCHANGES", 1)
+    np.testing.assert_allclose(variance_scoring._least(a, b), soon, atol=1e-9)
