@@ -22,7 +22,8 @@ import numpy as np
 from casid.data.experiment import Experiment
 from casid.diagnosis.thresholds import BUDGET
 from casid.errors import OutOfTimeError
-from casid.estimation.holdout import Split
+from casid.estimation.fit_statistics import rms
+from casid.estimation.holdout import Split, whole_simulation
 from casid.estimation.local_rank import rank_of
 from casid.estimation.simulation.fit import FitSettings, value_at_start
 from casid.estimation.simulation.instability import (
@@ -33,6 +34,7 @@ from casid.estimation.simulation.instability import (
 )
 from casid.estimation.simulation.minimization import Fit, departures
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.thresholds import INSTABILITY
 from casid.identification.signs_from_simulation import is_poor
 from casid.identification.unstable import tried
 from casid.model.model import Model
@@ -46,14 +48,14 @@ def in_windows(
     """The records in windows where the model is unstable, a note on them, and where to begin.
 
     The same as given, no note and no values where the model is stable, or a simulation of the whole
-    record fits all the same (a motion that leaves an unstable equilibrium once).
+    record fits all the same, to its end (a motion that leaves an unstable equilibrium once).
     """
     criterion = SimulationError(model, split.fitted)
     if not window_for(criterion):
         return split, "", {}
     say("the model is unstable: fit the whole record once")
     whole = tried(model, split.fitted, replace(settings, starts=1))
-    if whole is not None and not is_poor(whole):
+    if whole is not None and not (is_poor(whole) or _runs_away(whole, split)):
         return split, "", {}
     criterion, start = _nearer(criterion, settings, say)
     window = _held(criterion, start, window_for(criterion))
@@ -73,6 +75,21 @@ def in_windows(
         "initial state of its own; errors and what is held out are those of such simulations",
         start,
     )
+
+
+def _runs_away(whole: Fit, split: Split) -> bool:
+    """True if a simulation that reproduces the fitted part departs from what is held out.
+
+    The parameters of an unstable model can bend the path of one record where its own do not.
+    """
+    for i, held in enumerate(split.held):
+        d, y, _ = whole_simulation(whole, split, i)
+        if not np.all(np.isfinite(y)):
+            return True
+        error = np.where(d.used, d.y - y, np.nan)
+        if held.any() and np.any(rms(error[held]) > INSTABILITY.departs * rms(error[~held])):
+            return True
+    return False
 
 
 def _nearer(

@@ -146,6 +146,15 @@ class Instability:
         "for each of their states",
         _WINDOWS,
     )
+    instants: int = _is(
+        50, "of a record at which the growth is looked at: as many as windows are usual", _WINDOWS
+    )
+    departs: float = _is(
+        3.0,
+        "times the error of the fitted part that a simulation into the held-out part errs, where "
+        "the model is unstable: a missing effect alone acts in both parts",
+        _WINDOWS,
+    )
     samples: int = _is(10, "of a segment, at least", _UNSTABLE)
     most: int = _is(200, "segments a record: each has initial states to estimate", _UNSTABLE)
 
