@@ -397,7 +397,7 @@ def scan(fit: Fit, own: str | None, effects: Sequence[Effect]) -> Array:
     one taken out is regressed on each candidate's sensitivity and the other unknowns'. A fit that
     has none of the kind is given no `own`.
     """
-    e, psi = _regressed(fit, own, effects)
+    e, psi = regressed(fit, own, effects)
     size = np.maximum(np.einsum("ij,ij->j", psi, psi), TINY)
     return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
 
@@ -406,15 +406,20 @@ def scan_pairs(
     fit: Fit, own: str | None, firsts: Sequence[Effect], lasts: Sequence[Effect]
 ) -> Array:
     """As `scan`, of each of `firsts` less each of `lasts` in the place of the parameter, (K, L)."""
-    e, psi = _regressed(fit, own, [*firsts, *lasts])
+    e, psi = regressed(fit, own, [*firsts, *lasts])
     products, along = psi.T @ psi, psi.T @ e
     size, k = np.diag(products), len(firsts)
     left = size[:k, None] + size[None, k:] - 2 * products[:k, k:]
     return np.asarray(e @ e - (along[:k, None] - along[None, k:]) ** 2 / np.maximum(left, TINY))
 
 
-def _regressed(fit: Fit, own: str | None, effects: Sequence[Effect]) -> tuple[Array, Array]:
-    """Residual without the parameter `own` (M,) and signatures (M, K), off all other tangents."""
+def regressed(fit: Fit, own: str | None, effects: Sequence[Effect]) -> tuple[Array, Array]:
+    """Residual without the parameter `own` (M,) and signatures (M, K), off all other tangents.
+
+    Parameters
+    ----------
+    own : a parameter of the fit that is taken out, as in `scan`; None where there is none.
+    """
     base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
     parts = [columns.of_record(wide.start, k) for k in range(len(wide.data))]

@@ -28,6 +28,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.attempts import Attempts
+from casid.diagnosis.evidence.score_tests import regressed
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.thresholds import JUMPS
@@ -92,7 +93,6 @@ class _Linearised:
     """A fit about its instants: residual (M,), P less what the variables take of it, and (1)."""
 
     residual: Array
-    tangent: Array  # (M, n) T, the columns of one length; zero at active bounds
     left: Array  # (M, m)
     moved: Array  # (n, m) dx/dt
     inverse: Array  # (m, m) of L'L
@@ -116,8 +116,7 @@ def _linearised(fit: Fit, own: Sequence[Adopted]) -> _Linearised:
     residual, tangent, instants = _columns(fit, own)
     free = fit.solution.is_free
     size = np.sqrt(np.maximum(np.einsum("ij,ij->j", tangent, tangent), TINY))
-    tangent = np.where(free, tangent / size, 0.0)
-    q, r = np.linalg.qr(tangent[:, free])
+    q, r = np.linalg.qr(tangent[:, free] / size[free])
     along = q.T @ instants
     left = instants - q @ along
     freedom = max(len(residual) - int(free.sum()) - instants.shape[1], 1)
@@ -125,7 +124,7 @@ def _linearised(fit: Fit, own: Sequence[Adopted]) -> _Linearised:
     moved = np.zeros((len(fit.x), instants.shape[1]))
     moved[free] = -np.linalg.lstsq(r, along, rcond=1e-10)[0] / size[free][:, None]
     mean_square = float(residual @ residual) / freedom
-    return _Linearised(residual, tangent, left, moved, inverse, mean_square)
+    return _Linearised(residual, left, moved, inverse, mean_square)
 
 
 def _errors(
@@ -225,18 +224,15 @@ def _bracketed(distances: Array, rises: Array, most: float) -> tuple[Array, Arra
 
 def _rises(fit: Fit, at: _Linearised, i: int, instant: _Instant, distances: Array) -> Array:
     """S at distances from an instant [s], less S there."""
-    model, size = fit.criterion.model, instant.cause.candidate.names[0]
-    steps = [instant.step(model), *(instant.step(model, d) for d in distances.tolist())]
-    _, tangent, psi = _stacked(fit, steps)
-    own = tangent[:, fit.criterion.names.index(size)]
-    moved = np.column_stack([own, own[:, None] + instant.sign * (psi[:, 1:] - psi[:, :1])])
-    without = at.residual + fit.values[size] * own
-    others = np.delete(at.tangent, fit.criterion.names.index(size), axis=1)
-    others = np.column_stack([others[:, others.any(axis=0)], np.delete(at.left, i, axis=1)])
-    others = np.linalg.qr(others)[0]
-    moved -= others @ (others.T @ moved)
-    squares = np.maximum(np.einsum("ij,ij->j", moved, moved), TINY)
-    explained = (moved.T @ without) ** 2 / squares
+    model, of = fit.criterion.model, instant.cause.candidate
+    steps = [instant.step(model, d) for d in (0.0, *distances.tolist())]
+    ends = [(at_instant(of.effect, model, t), sign) for t, sign in _ends(of.effect)]
+    e, psi = regressed(fit, of.names[0], [*steps, *(step for step, _ in ends)])
+    others = np.linalg.qr(np.delete(at.left, i, axis=1))[0]
+    e, psi = (c - others @ (others.T @ c) for c in (e, psi))
+    moved, whole = psi[:, : len(steps)], psi[:, len(steps) :] @ [sign for _, sign in ends]
+    moved = whole[:, None] + instant.sign * (moved - moved[:, :1])
+    explained = (moved.T @ e) ** 2 / np.maximum(np.einsum("ij,ij->j", moved, moved), TINY)
     return np.asarray(explained[0] - explained[1:])
 
 
@@ -249,14 +245,8 @@ def _columns(fit: Fit, own: Sequence[Adopted]) -> tuple[Array, Array, Array]:
     model, instants = fit.criterion.model, _instants(fit, own)
     half = 0.5 * min(d.Ts for d in fit.criterion.data)
     steps = [instant.step(model, side) for instant in instants for side in (half, -half)]
-    residual, tangent, psi = _stacked(fit, steps)
-    sizes = np.array([instant.size(fit) for instant in instants])
-    return residual, tangent, (psi[:, 0::2] - psi[:, 1::2]) * (sizes / (2 * half))
-
-
-def _stacked(fit: Fit, steps: Sequence[Effect]) -> tuple[Array, Array, Array]:
-    """Residual (M,), sensitivities of the variables (M, n) and of steps (M, m), all records."""
     columns = extended_columns(fit, steps)
     parts = [columns.of_record(columns.wide.start, k) for k in range(len(columns.wide.data))]
     residual, tangent, psi = (np.concatenate([part[i] for part in parts]) for i in range(3))
-    return residual, tangent, psi
+    sizes = np.array([instant.size(fit) for instant in instants])
+    return residual, tangent, (psi[:, 0::2] - psi[:, 1::2]) * (sizes / (2 * half))
