@@ -84,10 +84,7 @@ HIDDEN = [
     pytest.param("sensor_bias", 1.2, 103, None, marks=pytest.mark.slow),
     pytest.param("extra_input", 1.2, 105, None, marks=pytest.mark.slow),
     pytest.param("parameter_jump", 1.2, 106, "m", marks=pytest.mark.slow),
-    pytest.param(
-        *("parameter_jump", 1.2, 206, "k"),
-        marks=[pytest.mark.slow, pytest.mark.xfail(reason="m is named, and k in its set")],
-    ),
+    pytest.param("parameter_jump", 1.2, 206, "k", marks=pytest.mark.slow),
     ("saturation", 1.2, 301, None),
     ("outliers", 1.2, 108, None),
 ]

@@ -54,6 +54,7 @@ def disturbance_alone(
     alone = search.table(start, adopted)
     for effects, cost in (
         (_best(start, alone), 1),
+        (_steps(start, alone), PARAMETER_JUMPS.cost),
         (_over_again(start, alone), PARAMETER_JUMPS.cost_of_two),
         (_lines(start, alone), PERIODIC_FORCES.cost),
     ):
@@ -143,6 +144,17 @@ def _best(at: Weighted, table: ScoreTable) -> list[Effect]:
     scored.sort(key=lambda s: -s.unrobust)
     best = [*scored[: DISTURBED.looked_at], *temporary_changes(at, table)]
     return [s.effect for s in best]
+
+
+def _steps(at: Weighted, table: ScoreTable) -> list[Effect]:
+    """The most promising change that stays, at the instant of least misfit.
+
+    On the grid of the scores it is late by up to half a step of the grid, in which a disturbance
+    explains it, and all of it after that.
+    """
+    steps = [s for s in table.tested if s.effect.sets_in and s.effect.end is None]
+    best = max(steps, key=lambda s: s.unrobust, default=None)
+    return [] if best is None else [placed_by_tangents(at, best.effect)]
 
 
 def _over_again(at: Weighted, table: ScoreTable) -> list[Effect]:

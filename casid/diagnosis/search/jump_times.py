@@ -68,14 +68,25 @@ def _between(
 
 
 def placed_by_tangents(at: Weighted, effect: Effect) -> Effect:
-    """What is over again, between the instants that leave least, without a refit.
+    """What sets in, at the instant that leaves least, or between two of them, without a refit.
 
-    By its tangents at a fit without it, to a part of a sample; as it is where it is not over.
+    By its tangents at a fit without it, to a part of a sample.
     """
-    for reach in _reaches(at) if effect.end is not None else ():
-        first, last = _best_pair(at, at.fit, None, effect, reach)
-        effect = at_instant(effect, at.model, first, last)
+    for reach in _reaches(at):
+        if effect.end is None:
+            steps = _steps_about(at, effect, reach)
+            effect = steps[int(np.argmin(scan(at.fit, None, steps)))]
+        else:
+            first, last = _best_pair(at, at.fit, None, effect, reach)
+            effect = at_instant(effect, at.model, first, last)
     return effect
+
+
+def _steps_about(at: Weighted, effect: Effect, reach: float) -> list[Effect]:
+    """An effect at instants within reach of its own [s], inside the records."""
+    start, stop = window_of(at)
+    times = effect.constants["time"] + reach * np.linspace(-1, 1, JUMPS.instants)
+    return [at_instant(effect, at.model, float(t)) for t in times if start < t < stop]
 
 
 def _best_pair(

@@ -26,7 +26,10 @@ from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balance_effects import quadratic_damping
+from casid.model.effects.clock_effects import offset_step
 from tests.diagnosis.search.test_disturbances import hull, record
+from tests.diagnosis.test_effects_in_time import T, slide
+from tests.diagnosis.test_effects_in_time import record as loaded
 
 
 def noisy(of: casid.Record, sd: float = 0.012) -> casid.Record:
@@ -127,6 +130,32 @@ def test_what_is_over_again_gains_beside_a_disturbance_at_its_exact_instants() -
         gain_beside(at, columns, [i], known={}, passing=needed, under=start.noise) for i in (0, 1)
     ]
     assert gains[0] < needed < gains[1]
+
+
+def test_a_load_that_sets_in_gains_beside_a_disturbance_at_its_exact_instant() -> None:
+    """A slow force follows it, but for the moment at which it leaps; of steps 2.7 s apart, all.
+
+    Held between samples, it sets in half of one before the first that has all of it.
+    """
+    problem, of = slide(), loaded(load=0.2 * (T >= 21.0))
+    split = split_records([casid.Experiment(of, {}, "slide")], 0.3)
+    weighing = Weighing(split.fitted)
+    base = fit_model(problem.model, split.fitted, FitSettings(starts=1))
+    start = weighing.weigh(problem.model, base)
+    search = Search(weighing, {})
+    bare = search.under_disturbance(base)
+    assert minus_log_likelihood(bare) < minus_log_likelihood(start)
+    rough = offset_step(problem.model, "force", 21.5)
+    exact = placed_by_tangents(start, rough)
+    assert exact.variant == pytest.approx(21.0 - 0.5 * of.Ts, abs=0.3 * of.Ts)
+    at = replace(bare, fit=bare.unbiased or bare.fit)
+    columns = extended_columns(replace(at.fit, criterion=unwhitened(at)), [rough, exact])
+    needed = 0.5 * price_of(exact.cost, start.criterion.n_samples, 50)
+    gains = [
+        gain_beside(at, columns, [i], known={}, passing=needed, under=start.noise) for i in (0, 1)
+    ]
+    assert gains[0] < needed < gains[1]
+    assert disturbance_alone(search, start, base) is None
 
 
 @pytest.mark.slow
