@@ -299,3 +299,21 @@ def test_the_text_says_what_the_json_says(each):
 def test_the_json_holds_plain_values_alone(each):
     content = each.to_json()
     assert json.loads(json.dumps(content, allow_nan=False)) == content
+
+
+def test_expected_errors_are_shown_in_the_units_that_were_declared():
+    """A spring of 400 kN/m and its deflection in mm; plain values stay in SI units."""
+    m = casid.Model("spring")
+    x, F = m.state("x", "mm", start=2.0), m.input("F", "N", known=True)
+    k = m.parameter("k", "kN/m", start=400.0)
+    c = m.constant("c", 4e5, "N s/m")
+    m.balance(x, "force", inertia=c, terms=[F, -k * x])
+    m.output("x", x, "mm")
+    force = np.where(np.arange(200) % 40 < 20, 500.0, -500.0)
+    record = casid.Record({"F": force}, {"F": "N"}, Ts=0.1)
+    found = casid.practical_identifiability(m, record, noise={"x": 1e-5})
+    shown = {r[0]: r[1:4] for r in (row.split() for row in str(found).splitlines()) if len(r) > 4}
+    assert shown["k"][:2] == ["kN/m", "400"]
+    assert shown["x(0)"][:2] == ["mm", "2"]
+    assert float(shown["k"][2]) == pytest.approx(found["k"].std_error / 1e3, rel=1e-3)
+    assert found["k"].to_json()["unit"] == "N/m"

@@ -88,6 +88,11 @@ class Planned:
             return model.states[source].unit
         return model.parameters[source].unit
 
+    def declared(self, i: int) -> str:
+        """The unit that variable `i` was declared in."""
+        model, source = self.criterion.model, self.criterion.variables[i].source
+        return model.declared_units.get(source, self.unit(i))
+
     def root(self) -> Array:
         """(n, n) triangular R with R'R the information; not squared, to keep small directions."""
         n = len(self.x)

@@ -216,6 +216,7 @@ def _row(
         partner,
         verdict,
         note,
+        p.declared(i),
     )
 
 

@@ -49,6 +49,7 @@ class Row:
         the rms of the state over the records where that is more.
     correlation, partner : the largest correlation with a parameter, and which; None without one.
     note : why, and which other parameter it is confused with.
+    declared : the unit that it was declared in, and that tables show it in; that of SI by default.
     """
 
     name: str
@@ -61,9 +62,10 @@ class Row:
     partner: str | None
     verdict: Verdict
     note: str = ""
+    declared: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; None for what is infinite."""
+        """Plain values in SI units; None for what is infinite."""
         return {
             "name": self.name,
             "unit": self.unit,

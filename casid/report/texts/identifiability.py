@@ -11,7 +11,7 @@ from casid.identifiability.remedies.sensor_subsets import SensorSubsets
 from casid.identifiability.symbolic.observability_matrix import ObservabilityMatrix
 from casid.identifiability.symbolic.reduced_form import ReducedForm
 from casid.linear.discretisation_bias import BiasTable
-from casid.model.units import difference_from_si
+from casid.model.units import difference_from_si, from_si
 from casid.report.document import Code, Document, Labelled, Table
 from casid.report.numbers import number_text, value_text
 
@@ -67,12 +67,14 @@ def _cells(row: Row) -> tuple[str, ...]:
         return "--" if share is None or not math.isfinite(share) else f"{100 * share:.3g} %"
 
     close = "--" if row.correlation is None else f"{row.correlation:+.3f} {row.partner}"
-    error = number_text(row.std_error) if math.isfinite(row.std_error) else "--"
+    unit = row.declared or row.unit
+    size = float(difference_from_si(row.std_error, unit))
+    error = number_text(size) if math.isfinite(size) else "--"
     is_long = row.verdict == UNDETERMINED and row.note.count(",") > 1
     note = "only in combination, see below" if is_long else row.note
     verdict = f"{row.verdict}: {note}" if note else row.verdict
-    value = value_text(row.value)
-    return Code(row.name), row.unit, value, error, percent(row.relative), close, verdict
+    value = value_text(float(from_si(row.value, unit)))
+    return Code(row.name), unit, value, error, percent(row.relative), close, verdict
 
 
 def bias_document(found: BiasTable) -> Document:
