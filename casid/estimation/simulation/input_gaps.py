@@ -196,7 +196,7 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
         elif name in doubtful:
             alike.setdefault((hold, gaps_of(record.missing[name])), []).append(name)
         else:
-            lines.append(f"{FILLED}{name} has a row at each of its steps: it is held between them")
+            lines.append(f"remark: {name} has a row at each of its steps: it is held between them")
         channels[name] = filled(record, name, model.inputs[name].hold)
         if name in late and model.inputs[name].hold == "zoh":
             late[name] = lateness_of_steps(record, name)
