@@ -182,7 +182,8 @@ def _equal_samples(
     value = x[plateau_start]
     # At zero no sun shines and no heater heats: the quantity ends there, not the sensor's range.
     is_cut_off = sudden and value != 0.0 and (step is None or jump > 1.5 * step)
-    if plateau >= 4 and not few and is_cut_off:
+    is_cut_off = is_cut_off and plateau >= 4 and not _rests_inside(x, mask, plateau)
+    if is_cut_off and not few:
         findings.append(
             Finding(
                 "warning",
@@ -314,14 +315,36 @@ def _scatter_about_step(x: FloatArray) -> float:
 def _runs(x: FloatArray, mask: BoolArray) -> tuple[int, int, int, int, int]:
     """Return length and start of the longest run of equal samples, the same for runs at an
     extreme, and the longer of the two runs beside that."""
-    y = np.where(mask, np.nan, x)  # NaN equals nothing: missing samples part the runs
-    starts = np.flatnonzero(np.concatenate(([True], y[1:] != y[:-1])))
-    lengths = np.diff(np.concatenate((starts, [x.size])))
+    y, starts, lengths, beside = _equal_runs(x, mask)
     longest = int(np.argmax(lengths))
     extreme = (y[starts] == np.nanmin(y)) | (y[starts] == np.nanmax(y))
     at = int(np.argmax(np.where(extreme, lengths, 0)))
-    beside = max((int(lengths[k]) for k in (at - 1, at + 1) if 0 <= k < lengths.size), default=0)
-    return int(lengths[longest]), int(starts[longest]), int(lengths[at]), int(starts[at]), beside
+    length = int(lengths[longest])
+    return length, int(starts[longest]), int(lengths[at]), int(starts[at]), int(beside[at])
+
+
+def _equal_runs(
+    x: FloatArray, mask: BoolArray
+) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Samples, NaN where missing, where runs of equal ones start, their lengths, and that of the
+    longer of the two beside each."""
+    y = np.where(mask, np.nan, x)  # NaN equals nothing: missing samples part the runs
+    starts = np.flatnonzero(np.concatenate(([True], y[1:] != y[:-1])))
+    lengths = np.diff(np.concatenate((starts, [x.size])))
+    around = np.concatenate(([0], lengths, [0]))
+    return y, starts, lengths, np.maximum(around[:-2], around[2:])
+
+
+def _rests_inside(x: FloatArray, mask: BoolArray, plateau: int) -> bool:
+    """True of a profile of ramps and rests, of which one is the highest: no limit made it.
+
+    It rests inside its range as suddenly, and half as long. Zero is where quantities end.
+    """
+    y, starts, lengths, beside = _equal_runs(x, mask)
+    level = y[starts]
+    inside = (level > np.nanmin(y)) & (level < np.nanmax(y)) & (level != 0.0)
+    sudden = beside <= np.maximum(1.0, 0.1 * lengths)
+    return bool(np.any(inside & sudden & (2 * lengths >= plateau)))
 
 
 def _jump_into(x: FloatArray, start: int, length: int) -> float:

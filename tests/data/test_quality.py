@@ -90,6 +90,17 @@ def test_a_clipped_signal_is_found_at_its_plateau():
     assert "mark the plateau missing" in finding.remedy
 
 
+def test_the_highest_rest_of_a_profile_of_ramps_is_no_clipping():
+    """The speed of a lift is ramped to a level of its own in each trip: one of these is highest."""
+    corners = np.repeat([0.0, 0.9, 0.9, 0.0, 0.0, 1.4, 1.4, 0.0, 0.0, -1.2, -1.2, 0.0], 2)[1:-1]
+    at = np.cumsum(np.tile([0.7, 2.5], len(corners))[: len(corners)])
+    profile = np.interp(TIME, at, corners)
+    assert not any("clipped" in t for t in texts(check(record(profile))))
+    assert any("equal samples in a row" in t for t in texts(check(record(profile))))
+    noisy = np.minimum(profile + 0.01 * smooth(1.0), 1.3)
+    assert any("clipped" in t for t in texts(check(record(noisy))))
+
+
 def test_the_flat_top_of_a_rounded_wave_is_no_clipping():
     assert not any("clipped" in t for t in texts(check(record(np.round(smooth(0.0), 3)))))
 
