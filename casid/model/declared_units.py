@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -21,6 +22,7 @@ from casid.model.units import (
     si_unit,
     to_si,
     unit_of_dimension,
+    unit_powers,
 )
 
 Declared = TypeVar("Declared", bound=Any)  # a dataclass with a `unit`
@@ -82,19 +84,30 @@ def rate_in_own_unit(unit: str, si: str) -> str:
     return text if same_dimension(text, si) else si
 
 
-def unit_in_balance(unit: str, force: str, coordinates: Sequence[str]) -> str | None:
+def unit_in_balance(unit: str, force: str, coordinates: Sequence[str], si: str) -> str | None:
     """The SI `unit` as that of a force, or of one by a power of a coordinate, in declared units.
 
     A drag in a balance of mg/h whose state is in mg/L has L^2/(mg h). None where it is another.
+
+    Parameters
+    ----------
+    force, si : the unit that the balance is shown in, and its own. An angle has no dimension: by
+        how often it is in `unit`, and in `si`, a power of an angle is known.
     """
-    if same_dimension(force, unit):
+    angles = _angles(unit) - _angles(si)
+    if same_dimension(force, unit) and not angles:
         return force
     for power in (1, 2, 3, 4, 5):
         for coordinate in coordinates:
             text = declared_quotient(force, coordinate, power)
-            if same_dimension(text, unit):
+            if same_dimension(text, unit) and angles == -power * _angles(coordinate):
                 return text
     return None
+
+
+def _angles(unit: str) -> Fraction:
+    """The power of an angle in a unit."""
+    return unit_powers(unit).get("rad", Fraction(0))
 
 
 def refuse_conversion(model: str, output: str, expression: Any, unit: str) -> None:

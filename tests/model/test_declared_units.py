@@ -152,17 +152,25 @@ def test_what_acts_in_a_balance_is_shown_in_its_declared_unit(given, unit):
 
 
 @pytest.mark.parametrize(
-    ("si", "force", "coordinate", "expected"),
+    ("si", "force", "coordinate", "of_force", "expected"),
     [
-        ("kg/s", "mg/h", "mg/L", "mg/h"),
-        ("m^3/s", "mg/h", "mg/L", "L/h"),
-        ("m^6/(kg s)", "mg/h", "mg/L", "L^2/(mg h)"),
-        ("N s^2/m^2", "kN", "mm/s", "kN s^2/mm^2"),
-        ("K", "mg/h", "mg/L", None),
+        ("kg/s", "mg/h", "mg/L", "kg/s", "mg/h"),
+        ("m^3/s", "mg/h", "mg/L", "kg/s", "L/h"),
+        ("m^6/(kg s)", "mg/h", "mg/L", "kg/s", "L^2/(mg h)"),
+        ("N s^2/m^2", "kN", "mm/s", "N", "kN s^2/mm^2"),
+        ("K", "mg/h", "mg/L", "kg/s", None),
+        # An angle has no dimension, and is counted: a cube's coefficient is no torque.
+        ("N m/rad^3", "kN m", "deg", "N m", "kN m/deg^3"),
+        ("N m", "kN m", "deg", "N m", "kN m"),
+        ("1/(rad^2 s^2)", "deg/s^2", "deg", "rad/s^2", "1/(deg^2 s^2)"),
+        ("1/(rad^3 s^2)", "deg/s^2", "deg", "1/s^2", "1/(deg^2 s^2)"),
+        ("1/s^2", "deg/s^2", "deg", "1/s^2", "deg/s^2"),
     ],
 )
-def test_the_unit_of_a_law_follows_from_force_and_coordinate(si, force, coordinate, expected):
-    found = unit_in_balance(si, force, [coordinate])
+def test_the_unit_of_a_law_follows_from_force_and_coordinate(
+    si, force, coordinate, of_force, expected
+):
+    found = unit_in_balance(si, force, [coordinate], of_force)
     assert found == expected
     assert found is None or same_dimension(found, si)
 

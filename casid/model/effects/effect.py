@@ -208,14 +208,14 @@ class Effect:
 
     def _unit_in_balance(self, model: Model, p: Parameter) -> str | None:
         """The unit of a parameter in the balance that it acts in, by what the model declares."""
-        if self.where in model.balances:
-            forces = {model.balances[self.where].declared}
-        else:  # between two balances
-            forces = {b.declared for b in model.balances.values()}
-        if len(forces) != 1 or "" in forces:
+        own = model.balances.get(self.where)
+        balances = [own] if own else list(model.balances.values())  # between two: of all alike
+        forces = {(b.declared, b.unit) for b in balances}
+        force, si = next(iter(forces), ("", ""))
+        if len(forces) != 1 or not force:
             return None
         states = [u for n in model.states if (u := model.unit_of(n)) and not parse_unit(u).offset]
-        return unit_in_balance(p.unit, forces.pop(), list(dict.fromkeys(states)))
+        return unit_in_balance(p.unit, force, list(dict.fromkeys(states)), si)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
