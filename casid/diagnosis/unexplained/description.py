@@ -22,7 +22,12 @@ from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
 from casid.diagnosis.thresholds import DESCRIPTION
-from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force, quiet_fit
+from casid.diagnosis.unexplained.missing_force import (
+    Dependence,
+    MissingForce,
+    missing_force,
+    quiet_fit,
+)
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force
 from casid.model.quantities import span_text
 
@@ -260,9 +265,8 @@ def _sentences(
         else f"an error of {best.place}"
     )
     out = [
-        f"The remainder is {what} that depends on "
-        + "; and on ".join(d.words for d in best.dependences)
-        + f". This explains {100 * best.explained:.0f} % of it."
+        f"The remainder is {what} that {_on_what(best.dependences)}. "
+        f"This explains {100 * best.explained:.0f} % of it."
     ]
     rivals = best.dependences[0].rivals
     if rivals:
@@ -280,6 +284,16 @@ def _sentences(
     if others and not rivals:
         out.append(f"It does not depend on {', '.join(others)}.")
     return out
+
+
+def _on_what(dependences: Sequence[Dependence]) -> str:
+    """What depends on variables, is constant, or both."""
+    on = "; and on ".join(d.words for d in dependences if d.variables)
+    if not on:
+        return "is constant"
+    return f"depends on {on}" + (
+        "" if all(d.variables for d in dependences) else ", about a constant"
+    )
 
 
 def _of_disturbance(where: str, tests: ResidualTests, alpha: float) -> list[str]:

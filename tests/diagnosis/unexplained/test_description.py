@@ -10,7 +10,13 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
-from casid.diagnosis.unexplained.description import Unexplained, going_with, unexplained
+from casid.diagnosis.unexplained.description import (
+    Unexplained,
+    _on_what,
+    going_with,
+    unexplained,
+)
+from casid.diagnosis.unexplained.missing_force import Dependence
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.parameter_effects import ramp_over, step_at
 from casid.report.figures.unexplained import (
@@ -40,6 +46,24 @@ def on_the_pendulum(kind: str, strength: float, seed: int) -> Unexplained:
 def of(kind: str, seed: int, disturbance: float = 0.0) -> Unexplained:
     at, made = fitted(kind, seed, disturbance)
     return unexplained(at, made, RECORDED)
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        ([()], "is constant"),
+        ([("v",)], "depends on v (odd)"),
+        ([("v",), ("q",)], "depends on v (odd); and on q (odd)"),
+        ([("v",), ()], "depends on v (odd), about a constant"),
+    ],
+)
+def test_a_missing_constant_depends_on_nothing(variables: list, words: str) -> None:
+    unused = np.zeros(0)
+    terms = [
+        Dependence(v, 1.0, 0.0, 9.0, "odd" if v else "", None, 1.0, "", (), *[unused] * 3)
+        for v in variables
+    ]
+    assert _on_what(terms) == words
 
 
 @pytest.mark.slow
