@@ -178,7 +178,7 @@ def test_what_is_found_beside_a_sea_is_judged_in_the_sea_that_it_leaves(
     found = Adoption((Adopted(drag, 1e-9, ()),), in_its_sea, fit)
     monkeypatch.setattr(disturbance_rival, "adopt_causes", lambda *_: found)
     baseline: Any = SimpleNamespace(fit=base, split=split, start=bare)
-    other, *_ = disturbance_rival._searched_beside(search, bare, baseline, settings)
+    other = disturbance_rival.searched_beside(search, bare, baseline, settings).found
     own = minus_log_likelihood(search.under_disturbance(fit))
     assert minus_log_likelihood(other.at) <= own < minus_log_likelihood(in_its_sea)
 
