@@ -149,7 +149,8 @@ def test_a_leak_is_a_loss_or_a_valve_that_never_closes() -> None:
 def test_the_flow_of_a_compressor_falls_with_the_pressure() -> None:
     """w_c + s (p - mean): s is 8 % of the flow at 3 bar for every bar."""
     found = casid.diagnose(receiver(), filled(falls=0.08), advise=False)
-    only_cause(found, "scheduled_parameter", "w_c~p", -0.08 * FLOW / 1e5)
+    only_cause(found, "scheduled_parameter", "w_c~p", -0.08 * FLOW)
+    assert found.causes[0].parameters[0].unit == "kg/(s bar)"
 
 
 # -- two stirred sides of a heat exchanger --------------------------------------------------------
