@@ -10,6 +10,7 @@ import pytest
 import casid
 from casid import time_limit
 from casid.diagnosis.attempts import Attempts
+from casid.diagnosis.thresholds import BUDGET
 from casid.time_limit import wall_clock
 from problems import roll_decay
 
@@ -43,6 +44,21 @@ def ended_at(line, record, monkeypatch, **settings):
             clock.ahead = 1e6
 
     return casid.diagnose(roll_decay.problem, record, progress=progress, **settings)
+
+
+def taken(line, share, record, monkeypatch):
+    """The diagnosis of a record, a share of the time for causes over at the line of progress."""
+    clock = Clock()
+    monkeypatch.setattr(time_limit, "time", clock)
+    for_causes = BUDGET.search * BUDGET.adoption * 10_000 * time_limit.time_factor()
+
+    def progress(text: str) -> None:
+        if text.startswith(line) and not clock.ahead:
+            clock.ahead = share * for_causes
+
+    return casid.diagnose(
+        roll_decay.problem, record, progress=progress, budget=10_000.0, advise=False
+    )
 
 
 def test_without_time_to_fit_the_model_nothing_is_claimed(record):
@@ -85,17 +101,7 @@ def test_refits_leave_time_to_adopt_the_best_of_them(monkeypatch):
 @pytest.mark.slow
 def test_the_leader_is_adopted_where_the_time_of_its_refits_ends(record, monkeypatch):
     """The clock stands but for the first refits: a few of them take their share of the time."""
-    clock = Clock()
-    monkeypatch.setattr(time_limit, "time", clock)
-    factor = time_limit.time_factor()
-
-    def progress(text: str) -> None:
-        if text.startswith("refit 4/") and not clock.ahead:
-            clock.ahead += 0.65 * 0.7 * 0.7 * 10_000 * factor
-
-    found = casid.diagnose(
-        roll_decay.problem, record, progress=progress, budget=10_000.0, advise=False
-    )
+    found = taken("refit 4/", 0.65, record, monkeypatch)
     assert found.verdict == "deficient"
     assert found.causes[0].kind == "quadratic_damping"
     assert any("budget of time ended" in note for note in found.notes)
@@ -113,17 +119,7 @@ def test_after_the_search_the_causes_stand_and_the_rest_is_listed(record, monkey
 @pytest.mark.slow
 def test_causes_found_when_the_rounds_end_are_tested_beside_each_other(record, monkeypatch):
     """The clock stands but for the second round, which takes what the rounds have of the search."""
-    clock = Clock()
-    monkeypatch.setattr(time_limit, "time", clock)
-    factor = time_limit.time_factor()
-
-    def progress(text: str) -> None:
-        if text == "test every effect (round 2)":
-            clock.ahead += 0.9 * 0.7 * 0.7 * 10_000 * factor
-
-    found = casid.diagnose(
-        roll_decay.problem, record, progress=progress, budget=10_000.0, advise=False
-    )
+    found = taken("test every effect (round 2)", 0.9, record, monkeypatch)
     assert "round 2 of the search" in found.not_done
     assert not [what for what in found.not_done if what.startswith("the test whether")]
 
