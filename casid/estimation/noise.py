@@ -30,6 +30,7 @@ from casid.estimation.missing_samples import (
 )
 from casid.estimation.noise_response import Response, name_of_force, noise_response
 from casid.estimation.residual_spectra import Spectra, restricted, spectra_of
+from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_innovations import PartialVarying, VaryingInnovations
@@ -472,3 +473,12 @@ def given_variances(
     """(ny + ns,) variances of outputs and sources that are known, NaN of the others."""
     sds = [known.get(n, np.nan) for n in outputs] + [known_forces.get(n, np.nan) for n in sources]
     return np.array(sds) ** 2
+
+
+def error_over_noise(fit: Fit, noise: NoiseModel) -> float:
+    """The largest error of an output over its white noise, both rms."""
+    white = np.maximum(np.asarray(noise.output_sd, dtype=float), TINY)
+    c = fit.criterion
+    squares = [np.sum(c.simulated(fit.x, e).residual ** 2, axis=0) for e in range(len(c.data))]
+    samples = np.sum([d.used.sum(axis=0) for d in c.data], axis=0)
+    return float(np.max(np.sqrt(np.sum(squares, axis=0) / np.maximum(samples, 1)) / white))

@@ -6,6 +6,7 @@ compared later is fitted to the same criterion.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -17,7 +18,7 @@ from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
 from casid.diagnosis.solvers import NEAR
-from casid.diagnosis.thresholds import PREWHITENING
+from casid.diagnosis.thresholds import PREWHITENING, RESTARTS
 from casid.errors import CasidError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_likelihood import likeliest
@@ -26,7 +27,7 @@ from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.left_by_noise import share_that_is_there
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.noise import NoiseModel, error_over_noise, estimate_noise
 from casid.estimation.noise_floor import white_floor
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
@@ -191,18 +192,23 @@ class Weighing:
         """A fit, and the same with what is at its bound where the model declares it to start.
 
         Each also with spectra of first order: which of the shapes is the likeliest, a taper does
-        not show where they differ in the slowest few periods of a record alone.
+        not show where they differ in the slowest few periods of a record alone. A model that errs
+        by many times the noise may have been led astray by least squares, with a loop that follows
+        the disturbance above all: it is begun where all its parameters are declared to start, too.
         """
         yield from self._shapes(found)
-        c, x = found.criterion, found.fit.x.copy()
+        c, x = found.criterion, found.fit.x
+        declared, at_bounds = x.copy(), x.copy()
         for i, v in enumerate(c.variables):
-            if v.source in c.model.parameters and _is_at_bound(v, float(x[i])):
-                x[i] = np.clip(c.model.parameters[v.source].start, v.lower, v.upper)
-        if not np.array_equal(x, found.fit.x):
-            try:
-                yield from self._shapes(self.estimated(_moved(found.fit, c, x)))
-            except CasidError:  # it diverges from there
-                return
+            if v.source in c.model.parameters:
+                declared[i] = np.clip(c.model.parameters[v.source].start, v.lower, v.upper)
+                at_bounds[i] = declared[i] if _is_at_bound(v, float(x[i])) else x[i]
+        with contextlib.suppress(CasidError):  # it diverges from there
+            if not np.array_equal(at_bounds, x):
+                yield from self._shapes(self.estimated(_moved(found.fit, c, at_bounds)))
+        with contextlib.suppress(CasidError):
+            if error_over_noise(found.fit, found.full) > RESTARTS.far:
+                yield self.estimated(_moved(found.fit, c, declared))
 
     def _shapes(self, found: Weighted) -> Iterator[Weighted]:
         """The same, and with forces of first order alone where one of them is not."""

@@ -22,7 +22,7 @@ from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.noise import NoiseModel
+from casid.estimation.noise import NoiseModel, error_over_noise
 from casid.estimation.noise_response import Response
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.signals import require_sizes
@@ -191,15 +191,6 @@ def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> s
         f"the error of the model is {wrong:.2g} times the noise, and no parameter of it has a "
         f"standard error below its own size{still_inputs(fit.criterion)}"
     )
-
-
-def error_over_noise(fit: Fit, noise: NoiseModel) -> float:
-    """The largest error of an output over its white noise, both rms."""
-    white = np.maximum(np.asarray(noise.output_sd, dtype=float), TINY)
-    c = fit.criterion
-    squares = [np.sum(c.simulated(fit.x, e).residual ** 2, axis=0) for e in range(len(c.data))]
-    samples = np.sum([d.used.sum(axis=0) for d in c.data], axis=0)
-    return float(np.max(np.sqrt(np.sum(squares, axis=0) / np.maximum(samples, 1)) / white))
 
 
 def _none_is_known(at: Weighted, std_error: Callable[[str], float]) -> bool:

@@ -19,11 +19,11 @@ from casid.data.experiment import Experiment
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable
-from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.search.joint_refit import is_dead_time
 from casid.diagnosis.search.preselection import head_of
 from casid.diagnosis.thresholds import DEAD_TIMES, RESTARTS
+from casid.estimation.noise import error_over_noise
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 

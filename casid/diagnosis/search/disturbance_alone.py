@@ -18,7 +18,6 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
-from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance_price import price_of, under_likelier_disturbance
 from casid.diagnosis.search.jump_times import placed_by_tangents
@@ -26,7 +25,7 @@ from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import DISTURBED, RESTARTS
-from casid.estimation.noise import NoiseModel
+from casid.estimation.noise import NoiseModel, error_over_noise
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 from casid.model.effects.periodic import sinusoid

@@ -21,13 +21,13 @@ from casid.diagnosis.evidence.prewhitening import (
     use_samples_of,
 )
 from casid.diagnosis.evidence.robust_errors import wald
-from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.search.imitations import is_soft_stop
 from casid.diagnosis.solvers import COMPARED
 from casid.diagnosis.thresholds import REFITS, RESTARTS
 from casid.errors import SolveError
 from casid.estimation.nlp.solver import LEADS_TO_KNOWN
+from casid.estimation.noise import error_over_noise
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import KINDS, SWITCHED, Effect

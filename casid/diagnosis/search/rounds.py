@@ -26,7 +26,6 @@ from casid.diagnosis.evidence.score_tests import (
 )
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, peaks_of, periodic_candidates
-from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.alternatives import on_common_samples, ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.dead_times import with_far_dead_times
@@ -45,6 +44,7 @@ from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import BUDGET, COMPARISON, RESTARTS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
+from casid.estimation.noise import error_over_noise
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Effect, extend_all

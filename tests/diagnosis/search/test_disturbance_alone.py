@@ -13,7 +13,6 @@ from casid.diagnosis.evidence import prewhitening
 from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.signature_columns import extended_columns
-from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.disturbance_alone import disturbance_alone
 from casid.diagnosis.search.disturbance_price import price_of
 from casid.diagnosis.search.jump_times import placed_by_tangents
@@ -22,7 +21,7 @@ from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import RESTARTS
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.holdout import split_records
-from casid.estimation.noise import NoiseModel
+from casid.estimation.noise import NoiseModel, error_over_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balance_effects import quadratic_damping

@@ -1,0 +1,73 @@
+"""Under a disturbance a model is begun where it is declared to start, too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import casid
+from casid.diagnosis.evidence.prewhitening import Weighing, _moved, minus_log_likelihood
+from casid.diagnosis.thresholds import RESTARTS
+from casid.estimation.noise import error_over_noise
+from casid.estimation.simulation.fit import FitSettings, fit_model
+
+TS, N = 0.2, 2000
+HUB, PANEL, K, C = 90.0, 30.0, 12.0, 0.6
+NOISE = 4e-5
+
+
+def satellite() -> casid.Model:
+    """A hub turned by a torque, and a panel on a spring that nobody measures."""
+    m = casid.Model("satellite")
+    w, e, v = m.state("w", "rad/s"), m.state("e", "rad"), m.state("v", "rad/s")
+    u = m.input("u", "N m", hold="zoh", known=True)
+    hub = m.parameter("hub", "kg m^2", start=110.0, lower=10.0, upper=1000.0)
+    panel = m.parameter("panel", "kg m^2", start=25.0, lower=1.0, upper=500.0)
+    k = m.parameter("k", "N m/rad", start=10.0, lower=0.5, upper=200.0)
+    c = m.parameter("c", "N m s/rad", start=0.3, lower=0.0, upper=20.0)
+    spring = k * e + c * (w - v)
+    m.derivative(e, w - v)
+    m.balance(w, "hub", inertia=hub, terms=[-u, -spring])
+    m.balance(v, "panel", inertia=panel, terms=[spring])
+    m.output("gyro", w, "rad/s")
+    return m
+
+
+def pointed(seed: int) -> casid.Record:
+    """Attitude held by a loop against a slow torque on the hub, held between samples."""
+    rng = np.random.default_rng(seed)
+    A = np.zeros((5, 5))  # w, e, v, attitude, torque on the hub
+    A[0, :3] = -C / HUB, -K / HUB, C / HUB
+    A[1, [0, 2]] = 1.0, -1.0
+    A[2, :3] = C / PANEL, K / PANEL, -C / PANEL
+    A[3, 0], A[0, 4] = 1.0, 1.0 / HUB
+    step = expm(A * TS)
+    reference = np.repeat(rng.uniform(-0.15, 0.15, N // 200), 200)
+    x, gust = np.zeros(5), 0.0
+    u, gyro = np.empty(N), np.empty(N)
+    for i, target in enumerate(reference):
+        gyro[i] = x[0] + NOISE * rng.standard_normal()
+        u[i] = np.clip(2.0 * (x[3] - target) + 18.0 * gyro[i], -0.2, 0.2)
+        gust = 0.98 * gust + 0.004 * np.sqrt(1 - 0.98**2) * rng.standard_normal()
+        x[4] = gust - u[i]
+        x = step @ x
+    return casid.Record({"u": u, "gyro": gyro}, {"u": "N m", "gyro": "rad/s"}, Ts=TS)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_model_that_went_astray_is_begun_again_where_it_is_declared_to_start(seed: int):
+    """A small stiff panel lies behind a hill of the likelihood, of 6 units and of 380."""
+    model, experiments = satellite(), [casid.Experiment(pointed(seed), {}, "pointed")]
+    base = fit_model(model, experiments, FitSettings(starts=1))
+    lost = {**base.values, "hub": 131.0, "panel": 1.5, "k": 125.0, "c": 1.0}
+    astray = _moved(base, base.criterion, np.array([lost[n] for n in base.criterion.names]))
+    weighing = Weighing(experiments)
+    assert error_over_noise(astray, weighing.weigh(model, base).full) > RESTARTS.far
+    beside = weighing.with_disturbances()
+    found, best = (beside.weigh(model, fit, rounds=1) for fit in (astray, base))
+    assert minus_log_likelihood(found) == pytest.approx(minus_log_likelihood(best), abs=1.0)
+    assert list(found.noise.spectra) == ["hub"]
+    values = (found.unbiased or found.fit).values
+    for name, true in {"hub": HUB, "panel": PANEL, "k": K, "c": C}.items():
+        assert values[name] == pytest.approx(true, rel=0.1)
