@@ -32,6 +32,7 @@ from casid.diagnosis.evidence.score_tests import regressed
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.thresholds import JUMPS
+from casid.errors import SolveError
 from casid.estimation.residual_spectrum import residual_products
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.clock_effects import KNOCK, at_instant
@@ -233,7 +234,9 @@ def _rises(fit: Fit, at: _Linearised, i: int, instant: _Instant, distances: Arra
     moved, whole = psi[:, : len(steps)], psi[:, len(steps) :] @ [sign for _, sign in ends]
     moved = whole[:, None] + instant.sign * (moved - moved[:, :1])
     explained = (moved.T @ e) ** 2 / np.maximum(np.einsum("ij,ij->j", moved, moved), TINY)
-    return np.asarray(explained[0] - explained[1:])
+    if not np.isfinite(explained[0]):
+        raise SolveError("the change has no finite effect at its instant")
+    return np.asarray(np.nan_to_num(explained[0] - explained[1:], nan=np.inf))
 
 
 def _columns(fit: Fit, own: Sequence[Adopted]) -> tuple[Array, Array, Array]:
