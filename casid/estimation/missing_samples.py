@@ -131,7 +131,7 @@ class PartialInnovations:
         drawn = self.whole.drawn(len(residual), rng)
         apart = np.where(self.used, residual - drawn, 0.0)
         e = self.whole.whiten(apart[:, :, None])
-        z = self._solved(self._at(self.whole.transposed(e)))
+        z = self._solved(self._back(e))
         return np.asarray(np.where(self.used, residual, drawn - self._spread(z)[:, :, 0]))
 
     def completed(self, white: Array, rng: np.random.Generator) -> Array:
@@ -181,7 +181,7 @@ class PartialInnovations:
         if basis is not None:
             flat = e.reshape(len(basis), -1)
             return np.asarray((basis @ (basis.T @ flat)).reshape(e.shape))
-        return self.whole.whiten(self._spread(self._solved(self._at(self.whole.transposed(e)))))
+        return self.whole.whiten(self._spread(self._solved(self._back(e))))
 
     @cached_property
     def _basis(self) -> Array | None:
@@ -191,9 +191,11 @@ class PartialInnovations:
         columns = self.whole.whiten(self._spread(np.eye(len(self._places))))
         return np.asarray(np.linalg.qr(columns.reshape(self.used.size, -1))[0])
 
-    def _at(self, columns: Array) -> Array:
-        """E' times columns (N, n, m): (missing, m)."""
-        return columns.reshape(self.used.size, -1)[self._places]
+    def _back(self, white: Array) -> Array:
+        """E'W' times whitened columns (N, n, m): (missing, m)."""
+        out = np.zeros(white.shape)
+        out[:, self._broken] = self.whole.transposed(white, self._broken)
+        return out.reshape(self.used.size, -1)[self._places]
 
     def _spread(self, z: Array) -> Array:
         """E times z (missing, m): (N, n, m)."""
@@ -203,10 +205,7 @@ class PartialInnovations:
 
     def _product(self, z: Array) -> Array:
         """E' Gamma^-1 E times z (missing, m)."""
-        white = self.whole.whiten(self._spread(z))
-        out = np.zeros(white.shape)
-        out[:, self._broken] = self.whole.transposed(white, self._broken)
-        return self._at(out)
+        return self._back(self.whole.whiten(self._spread(z)))
 
     def _near(self, b: Array) -> Array:
         """The solution of the banded system; not finite where a simulation has all but diverged."""
