@@ -176,14 +176,12 @@ def _equal_samples(
     x, mask = record.filled(name), record.is_missing(name)
     run, run_start, plateau, plateau_start, beside = _runs(x, mask)
     jump = _jump_into(x, plateau_start, plateau) if plateau >= 4 else 0.0
-    # The top of a rounded parabola is flat too, but the levels below it hold for 0.2 of its width.
-    sudden = beside <= max(1.0, 0.1 * plateau)
+    sudden = bool(_begins_suddenly(plateau, beside))
     findings = []
     value = x[plateau_start]
     # At zero no sun shines and no heater heats: the quantity ends there, not the sensor's range.
     is_cut_off = sudden and value != 0.0 and (step is None or jump > 1.5 * step)
-    is_cut_off = is_cut_off and plateau >= 4 and not _rests_inside(x, mask, plateau)
-    if is_cut_off and not few:
+    if is_cut_off and plateau >= 4 and not few and not _rests_inside(x, mask, plateau):
         findings.append(
             Finding(
                 "warning",
@@ -343,8 +341,16 @@ def _rests_inside(x: FloatArray, mask: BoolArray, plateau: int) -> bool:
     y, starts, lengths, beside = _equal_runs(x, mask)
     level = y[starts]
     inside = (level > np.nanmin(y)) & (level < np.nanmax(y)) & (level != 0.0)
-    sudden = beside <= np.maximum(1.0, 0.1 * lengths)
-    return bool(np.any(inside & sudden & (2 * lengths >= plateau)))
+    is_alike = _begins_suddenly(lengths, beside) & (2 * lengths >= plateau)
+    return bool(np.any(inside & is_alike))
+
+
+def _begins_suddenly(lengths: int | NDArray[np.intp], beside: int | NDArray[np.intp]) -> BoolArray:
+    """Whether runs of equal samples follow and precede motion: those beside them are short.
+
+    The top of a rounded parabola is flat too, but the levels below it hold for 0.2 of its width.
+    """
+    return np.asarray(beside <= np.maximum(1.0, 0.1 * lengths))
 
 
 def _jump_into(x: FloatArray, start: int, length: int) -> float:
