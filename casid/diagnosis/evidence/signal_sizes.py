@@ -15,6 +15,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.noise import with_rounding
+from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Motion, Sizes, Spread
 
 
@@ -110,7 +111,7 @@ def _readings(at: Weighted) -> dict[str, Motion]:
     }
 
 
-def window_of(at: Weighted) -> tuple[float, float]:
+def window_of(at: Weighted | Fit) -> tuple[float, float]:
     """The earliest and the latest time of the fitted records [s], by their clocks."""
     data = at.criterion.data
     return min(float(d.t[0]) for d in data), max(float(d.t[-1]) for d in data)

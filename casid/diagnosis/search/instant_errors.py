@@ -29,6 +29,7 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.score_tests import regressed
+from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.thresholds import JUMPS
@@ -66,10 +67,10 @@ def moved_in_time(model: Model, adopted: Sequence[Adopted], fit: Fit) -> list[Ca
     if not own:
         return None
     at = _linearised(fit, own)
-    step = np.linalg.pinv(at.left.T @ at.left, hermitian=True) @ (at.left.T @ at.residual)
+    step = at.inverse @ (at.left.T @ at.residual)
     if np.all(np.abs(step) < JUMPS.still * at.white):
         return None
-    start, stop = _span(fit)
+    start, stop = window_of(fit)
     steps, causes = iter(step.tolist()), []
     timed = {id(a) for a in own}
     for a in adopted:
@@ -163,8 +164,8 @@ class _Instant:
     sign: float
     room: tuple[float, float]
 
-    def step(self, model: Model, later: float = 0.0) -> Effect:
-        """What sets in there, or that much later [s], and stays."""
+    def step(self, model: Model, later: float) -> Effect:
+        """What sets in that much later [s], and stays."""
         return at_instant(self.cause.candidate.effect, model, self.time + later)
 
     def size(self, fit: Fit) -> float:
@@ -174,18 +175,13 @@ class _Instant:
 
 def _instants(fit: Fit, own: Sequence[Adopted]) -> list[_Instant]:
     """The ends of the causes, one cause after the other."""
+    start, stop = window_of(fit)
     out = []
     for a in own:
         ends = _ends(a.candidate.effect)
-        times = [_span(fit)[0], *(t for t, _ in ends), _span(fit)[1]]
+        times = [start, *(t for t, _ in ends), stop]
         out += [_Instant(a, t, sign, (times[j], times[j + 2])) for j, (t, sign) in enumerate(ends)]
     return out
-
-
-def _span(fit: Fit) -> tuple[float, float]:
-    """The first and the last instant of the records [s]."""
-    data = fit.criterion.data
-    return min(float(d.t[0]) for d in data), max(float(d.t[-1]) for d in data)
 
 
 def _ends(effect: Effect) -> list[tuple[float, float]]:
@@ -225,14 +221,14 @@ def _bracketed(distances: Array, rises: Array, most: float) -> tuple[Array, Arra
 
 def _rises(fit: Fit, at: _Linearised, i: int, instant: _Instant, distances: Array) -> Array:
     """S at distances from an instant [s], less S there."""
-    model, of = fit.criterion.model, instant.cause.candidate
+    model, ends = fit.criterion.model, _instants(fit, [instant.cause])
     steps = [instant.step(model, d) for d in (0.0, *distances.tolist())]
-    ends = [(at_instant(of.effect, model, t), sign) for t, sign in _ends(of.effect)]
-    e, psi = regressed(fit, of.names[0], [*steps, *(step for step, _ in ends)])
+    whole = [end.step(model, 0.0) for end in ends]
+    e, psi = regressed(fit, instant.cause.candidate.names[0], [*steps, *whole])
     others = np.linalg.qr(np.delete(at.left, i, axis=1))[0]
     e, psi = (c - others @ (others.T @ c) for c in (e, psi))
-    moved, whole = psi[:, : len(steps)], psi[:, len(steps) :] @ [sign for _, sign in ends]
-    moved = whole[:, None] + instant.sign * (moved - moved[:, :1])
+    moved, own = psi[:, : len(steps)], psi[:, len(steps) :] @ [end.sign for end in ends]
+    moved = own[:, None] + instant.sign * (moved - moved[:, :1])
     explained = (moved.T @ e) ** 2 / np.maximum(np.einsum("ij,ij->j", moved, moved), TINY)
     if not np.isfinite(explained[0]):
         raise SolveError("the change has no finite effect at its instant")

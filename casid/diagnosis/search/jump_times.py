@@ -18,6 +18,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.clock_effects import at_instant, knock
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
+from casid.model.model import Model
 
 
 def placed(
@@ -74,7 +75,7 @@ def placed_by_tangents(at: Weighted, effect: Effect) -> Effect:
     """
     for reach in _reaches(at):
         if effect.end is None:
-            steps = _steps_about(at, effect, reach)
+            steps = _steps_about(at, effect, at.model, reach)
             effect = steps[int(np.argmin(scan(at.fit, None, steps)))]
         else:
             first, last = _best_pair(at, at.fit, None, effect, reach)
@@ -82,11 +83,11 @@ def placed_by_tangents(at: Weighted, effect: Effect) -> Effect:
     return effect
 
 
-def _steps_about(at: Weighted, effect: Effect, reach: float) -> list[Effect]:
-    """An effect at instants within reach of its own [s], inside the records."""
+def _steps_about(at: Weighted, effect: Effect, model: Model, reach: float) -> list[Effect]:
+    """An effect in a model at instants within reach of its own [s], inside the records."""
     start, stop = window_of(at)
     times = effect.constants["time"] + reach * np.linspace(-1, 1, JUMPS.instants)
-    return [at_instant(effect, at.model, float(t)) for t in times if start < t < stop]
+    return [at_instant(effect, model, float(t)) for t in times if start < t < stop]
 
 
 def _best_pair(
@@ -137,13 +138,10 @@ def _placed(
     refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
 ) -> Candidate:
     """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
-    start, stop = window_of(at)
     for reach in _reaches(at):
-        now = found.effect.variant
-        assert now is not None
-        times = now + reach * np.linspace(-1, 1, JUMPS.instants)
-        inside = [float(t) for t in times if start < t < stop]
-        effects = [at_instant(found.effect, found.model, t) for t in inside]
+        now = found.effect.constants["time"]
+        effects = _steps_about(at, found.effect, found.model, reach)
+        inside = [effect.constants["time"] for effect in effects]
         left = scan(found.fit, found.names[0], effects)
         best = int(np.argmin(left))
         if left[int(np.argmin(np.abs(np.subtract(inside, now))))] - left[best] > JUMPS.worth:
