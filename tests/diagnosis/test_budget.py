@@ -34,31 +34,28 @@ class Clock:
         return time.process_time()
 
 
-def ended_at(line, record, monkeypatch, **settings):
-    """The diagnosis of a record, its budget over at the line of progress given."""
+def late_at(line, seconds, record, monkeypatch, **settings):
+    """The diagnosis of a record whose clock leaps, once, at the line of progress given."""
     clock = Clock()
     monkeypatch.setattr(time_limit, "time", clock)
 
     def progress(text: str) -> None:
         if text.startswith(line):
-            clock.ahead = 1e6
+            clock.ahead = clock.ahead or seconds
 
     return casid.diagnose(roll_decay.problem, record, progress=progress, **settings)
 
 
+def ended_at(line, record, monkeypatch, **settings):
+    """The diagnosis of a record, its budget over at the line of progress given."""
+    return late_at(line, 1e6, record, monkeypatch, **settings)
+
+
 def taken(line, share, record, monkeypatch):
     """The diagnosis of a record, a share of the time for causes over at the line of progress."""
-    clock = Clock()
-    monkeypatch.setattr(time_limit, "time", clock)
     for_causes = BUDGET.search * BUDGET.adoption * 10_000 * time_limit.time_factor()
-
-    def progress(text: str) -> None:
-        if text.startswith(line) and not clock.ahead:
-            clock.ahead = share * for_causes
-
-    return casid.diagnose(
-        roll_decay.problem, record, progress=progress, budget=10_000.0, advise=False
-    )
+    late = share * for_causes
+    return late_at(line, late, record, monkeypatch, budget=10_000.0, advise=False)
 
 
 def test_without_time_to_fit_the_model_nothing_is_claimed(record):

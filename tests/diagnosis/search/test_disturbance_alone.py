@@ -26,6 +26,7 @@ from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.clock_effects import offset_step
+from casid.model.effects.effect import Effect
 from tests.diagnosis.search.test_disturbances import hull, record
 from tests.diagnosis.test_effects_in_time import T, slide
 from tests.diagnosis.test_effects_in_time import record as loaded
@@ -38,13 +39,24 @@ def noisy(of: casid.Record, sd: float = 0.012) -> casid.Record:
     return casid.Record({"fin": of["fin"], **moved}, of.units, Ts=of.Ts)
 
 
-def started(of: casid.Record) -> tuple[Search, Weighted, Fit]:
-    """The model of a hull in a sea before anything is sought."""
-    model, once = hull().model, FitSettings(starts=1)
-    split = split_records([casid.Experiment(of, {}, "sea")], 0.3)
+def started(of: casid.Record, model: casid.Model | None = None) -> tuple[Search, Weighted, Fit]:
+    """A model, by default that of a hull in a sea, before anything is sought."""
+    model = model or hull().model
+    split = split_records([casid.Experiment(of, {}, "run")], 0.3)
     weighing = Weighing(split.fitted)
-    base = fit_model(model, split.fitted, once)
+    base = fit_model(model, split.fitted, FitSettings(starts=1))
     return Search(weighing, {}), weighing.weigh(model, base), base
+
+
+def assert_exact_instants_gain(bare: Weighted, start: Weighted, *, rough: Effect, exact: Effect):
+    """Beside the disturbance, an effect pays for itself at its exact instants, and there alone."""
+    at = replace(bare, fit=bare.unbiased or bare.fit)
+    columns = extended_columns(replace(at.fit, criterion=unwhitened(at)), [rough, exact])
+    needed = 0.5 * price_of(exact.cost, start.criterion.n_samples, 50)
+    gains = [
+        gain_beside(at, columns, [i], known={}, passing=needed, under=start.noise) for i in (0, 1)
+    ]
+    assert gains[0] < needed < gains[1]
 
 
 @pytest.mark.slow
@@ -107,28 +119,19 @@ def aired(seed: int, window: float) -> tuple[Search, Weighted, Fit]:
     m.output("CO2", C, "ppm")
     units = {"n": "1", "fan": "m^3/s", "CO2": "1"}
     of = casid.Record({"n": people, "fan": fan / 3600, "CO2": shown / 1e6}, units, Ts=60.0)
-    split = split_records([casid.Experiment(of, {}, "room")], 0.3)
-    weighing = Weighing(split.fitted)
-    base = fit_model(m, split.fitted, FitSettings(starts=1))
-    return Search(weighing, {}), weighing.weigh(m, base), base
+    return started(of, m)
 
 
 def test_what_is_over_again_gains_beside_a_disturbance_at_its_exact_instants() -> None:
     """Scores place it by instants 48 minutes apart: what these leave passes for a disturbance."""
     search, start, base = aired(4, window=60.0)
     bare = search.under_disturbance(base)
-    at = replace(bare, fit=bare.unbiased or bare.fit)
     rough = temporary_changes(start, search.table(start, []))[0].effect
     exact = placed_by_tangents(start, rough)
     near = 0.2 * 48 * 60.0
     assert abs(exact.constants["time"] - 330 * 60.0) < near
     assert abs(exact.constants["end"] - 400 * 60.0) < near
-    columns = extended_columns(replace(at.fit, criterion=unwhitened(at)), [rough, exact])
-    needed = 0.5 * price_of(exact.cost, start.criterion.n_samples, 50)
-    gains = [
-        gain_beside(at, columns, [i], known={}, passing=needed, under=start.noise) for i in (0, 1)
-    ]
-    assert gains[0] < needed < gains[1]
+    assert_exact_instants_gain(bare, start, rough=rough, exact=exact)
 
 
 def test_a_load_that_sets_in_gains_beside_a_disturbance_at_its_exact_instant() -> None:
@@ -136,24 +139,14 @@ def test_a_load_that_sets_in_gains_beside_a_disturbance_at_its_exact_instant() -
 
     Held between samples, it sets in half of one before the first that has all of it.
     """
-    problem, of = slide(), loaded(load=0.2 * (T >= 21.0))
-    split = split_records([casid.Experiment(of, {}, "slide")], 0.3)
-    weighing = Weighing(split.fitted)
-    base = fit_model(problem.model, split.fitted, FitSettings(starts=1))
-    start = weighing.weigh(problem.model, base)
-    search = Search(weighing, {})
+    model, of = slide().model, loaded(load=0.2 * (T >= 21.0))
+    search, start, base = started(of, model)
     bare = search.under_disturbance(base)
     assert minus_log_likelihood(bare) < minus_log_likelihood(start)
-    rough = offset_step(problem.model, "force", 21.5)
+    rough = offset_step(model, "force", 21.5)
     exact = placed_by_tangents(start, rough)
     assert exact.variant == pytest.approx(21.0 - 0.5 * of.Ts, abs=0.3 * of.Ts)
-    at = replace(bare, fit=bare.unbiased or bare.fit)
-    columns = extended_columns(replace(at.fit, criterion=unwhitened(at)), [rough, exact])
-    needed = 0.5 * price_of(exact.cost, start.criterion.n_samples, 50)
-    gains = [
-        gain_beside(at, columns, [i], known={}, passing=needed, under=start.noise) for i in (0, 1)
-    ]
-    assert gains[0] < needed < gains[1]
+    assert_exact_instants_gain(bare, start, rough=rough, exact=exact)
     assert disturbance_alone(search, start, base) is None
 
 

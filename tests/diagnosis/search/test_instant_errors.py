@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 import casid
+from casid.arrays import Array
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.instant_errors import moved_in_time, with_instant_errors
@@ -117,12 +118,17 @@ def emptied(at: float) -> casid.Record:
     rng = np.random.default_rng(7)
     q = np.repeat(rng.uniform(0.2, 1.0, N // 20), 20)
     q[200:400] = 0.0
+    return leaking(q, at, 0.9, rng.standard_normal(N))
+
+
+def leaking(q: Array, at: float, k_after: float, noise: Array) -> casid.Record:
+    """dh/dt = q - k h, sampled exactly; k is 0.6 before an instant, and the level has noise."""
     level, h = np.empty(N), 1.0
     for i, inflow in enumerate(q):
         level[i] = h
-        k = 0.9 if i * TS >= at else 0.6
+        k = k_after if i * TS >= at - 1e-9 else 0.6
         h = inflow / k + (h - inflow / k) * np.exp(-k * TS)
-    level += NOISE * rng.standard_normal(N)
+    level += NOISE * noise
     return casid.Record({"q": q, "level": level}, {"q": "m/s", "level": "m"}, Ts=TS, name="run")
 
 
@@ -139,14 +145,7 @@ def is_held(seed: int, memory: float) -> bool:
     q = np.repeat(rng.uniform(0.0, 1.0, N // 20), 20)
     at = round(rng.uniform(20.0, 70.0), 1)
     noise = lfilter([np.sqrt(1 - memory**2)], [1.0, -memory], rng.standard_normal(N + 200))[200:]
-    level, h = np.empty(N), 1.0
-    for i, inflow in enumerate(q):
-        level[i] = h
-        k = 0.7 if i * TS >= at - 1e-9 else 0.6
-        h = inflow / k + (h - inflow / k) * np.exp(-k * TS)
-    level += NOISE * noise
-    of = casid.Record({"q": q, "level": level}, {"q": "m/s", "level": "m"}, Ts=TS, name="run")
-    true = at - HALF
+    of, true = leaking(q, at, 0.7, noise), at - HALF
     nearby = [jumped(of, true + late, 0.1) for late in (-2.0, -0.5, 0.0, 0.5, 2.0)]
     cause, fit = min(nearby, key=lambda found: found[1].solution.value)
     for _ in range(3):
