@@ -41,11 +41,13 @@ class _Part:
 class _Elements:
     """The search for elements of one model."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, scales: Sequence[str] = ()) -> None:
         self.model = model
-        self.names = [*model.states, *model.inputs]
+        self.scales = scales  # inputs that scale a motion, as parameters do
+        self.names = [n for n in (*model.states, *model.inputs) if n not in scales]
         self.z = ca.vertcat(*[model.symbol(n) for n in self.names])
-        self.p = ca.vertcat(ca.SX(0, 1), *[model.symbol(n) for n in model.parameters])
+        fixed = [model.symbol(n) for n in (*model.parameters, *scales)]
+        self.p = ca.vertcat(ca.SX(0, 1), *fixed)
         rows = {n: b.total for n, b in model.balances.items()}
         rates = {n: r for n, r in model._rates.items() if not model.states[n].is_added}
         self.rows: dict[str, Expr] = rows | rates
@@ -132,6 +134,12 @@ class _Elements:
 
     def _place(self, group: Sequence[_Part]) -> Place | None:
         """The place of a group of terms, None where they have no coordinate of their own."""
+        scales = self._scales_of(group[0].shape)
+        if scales:
+            place = _Elements(self.model, scales)._place(group)
+            # What a flow carries is no law of a difference, nor what a valve's opening lets pass.
+            is_slip = place is not None and place.is_mechanical and place.velocity_unit == "1"
+            return place if is_slip else None
         coordinate = self._coordinate(group[0].shape)
         known = self.model.states
         if coordinate is None or any(n in known and known[n].is_added for n in coordinate):
@@ -152,6 +160,14 @@ class _Elements:
         if not self._is_relative(group, velocity, position):
             return None
         return self._built(group, coordinate, velocity, position)
+
+    def _scales_of(self, shape: Expr) -> list[str]:
+        """Inputs on which the slope of a term in the states depends: the speed over a road."""
+        states = self.z[: len(self.model.states)]
+        slope = ca.jacobian(shape, states)
+        inputs = [n for n in self.model.inputs if n not in self.scales]
+        found = [n for n in inputs if any(ca.which_depends(slope, self.model.symbol(n), 1))]
+        return [] if any(ca.which_depends(slope, states)) else found
 
     def _rank_of(self, row: str, coordinate: Mapping[str, Expr]) -> int:
         """Balances come first whose own motion is in the coordinate: a force resists it there."""
@@ -193,7 +209,8 @@ class _Elements:
     def _is_estimated(self, coefficient: Expr) -> bool:
         """True if a coefficient depends on a parameter that is not known."""
         known = self.model.parameters
-        return any(not known[s.name()].is_known for s in ca.symvar(ca.SX(coefficient)))
+        names = [s.name() for s in ca.symvar(ca.SX(coefficient))]
+        return any(not known[n].is_known for n in names if n in known)
 
     def _rate_is_of(self, position: str, rates: set[str]) -> bool:
         expression = self.model._rates.get(position)
@@ -264,7 +281,7 @@ class _Elements:
         )
 
     def _size_as_written(self, shape: Expr, reference: str) -> Expr | None:
-        """The factor of a motion that differs between load cases, None where it does not.
+        """The factor of a motion that differs between load cases or is recorded, or None.
 
         A law of the angle at which a tyre slips is one law at all speeds, where a law of the
         velocity across it is another at each.
@@ -273,7 +290,8 @@ class _Elements:
         slope = ca.jacobian(shape, self.model.symbol(reference))
         size = self._simple(slope)
         symbols = [known[s.name()] for s in ca.symvar(size) if s.name() in known]
-        if any(not p.is_known for p in symbols) or all(p.is_constant for p in symbols):
+        is_fixed = not self.scales and all(p.is_constant for p in symbols)
+        if any(not p.is_known for p in symbols) or is_fixed:
             return None
         return size if self._number(size) > 0 else self._simple(-size)
 

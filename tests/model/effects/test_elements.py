@@ -54,11 +54,15 @@ def quarter_car() -> casid.Model:
     return m
 
 
-def car(*, is_one_speed: bool) -> casid.Model:
-    """The lateral motion of a car on linear tyres, at speeds of its load cases or at one alone."""
+def car(speed: str) -> casid.Model:
+    """The lateral motion of a car on linear tyres: at one speed, one a load case, or a recorded."""
     m = casid.Model("car")
     v, r, steer = m.state("v", "m/s"), m.state("r", "rad/s"), m.input("steer", "rad")
-    V = m.constant("V", 20.0, "m/s") if is_one_speed else m.parameter("V", "m/s", value=20.0)
+    V = {
+        "constant": lambda: m.constant("V", 20.0, "m/s"),
+        "load case": lambda: m.parameter("V", "m/s", value=20.0),
+        "recorded": lambda: m.input("V", "m/s"),
+    }[speed]()
     M, a, b = m.constant("M", 1500.0, "kg"), m.constant("a", 1.2, "m"), m.constant("b", 1.4, "m")
     front = m.parameter("C_f", "N/rad", start=5e4) * (steer - (v + a * r) / V)
     rear = -m.parameter("C_r", "N/rad", start=5e4) * (v - b * r) / V
@@ -122,9 +126,10 @@ def test_a_road_that_moves_makes_the_tyre_an_element_of_one_balance():
     assert cubic_stiffness(quarter_car(), "y-road") is not None
 
 
-def test_tyres_slip_by_an_angle_that_is_the_same_law_at_every_speed():
-    """A speed that differs between load cases stays in the motion; a constant is divided out."""
-    model = car(is_one_speed=False)
+@pytest.mark.parametrize("speed", ["load case", "recorded"])
+def test_tyres_slip_by_an_angle_that_is_the_same_law_at_every_speed(speed):
+    """A speed that differs or is recorded stays in the motion; a constant is divided out."""
+    model = car(speed)
     front, rear = elements_of(model)
     assert (front.where, rear.where) == ("(v+a*r-V*steer)/V", "(v-b*r)/V")
     assert (front.velocity_unit, front.velocity_power(3), str(front.damping)) == ("1", "N", "C_f")
@@ -133,8 +138,18 @@ def test_tyres_slip_by_an_angle_that_is_the_same_law_at_every_speed():
     angle = ca.Function("f", [model.symbol(n) for n in names], [front.velocity])
     assert float(angle(1.0, 0.5, 0.1, 20.0, 1.2)) == pytest.approx(1.6 / 20 - 0.1)
     check_units(model.extend(cubic_damping(model, front.where)))
-    front, _ = elements_of(car(is_one_speed=True))
+    front, _ = elements_of(car("constant"))
     assert (front.where, front.velocity_unit) == ("v+a*r-V*steer", "m/s")
+
+
+def test_what_a_recorded_flow_carries_is_no_law_of_a_difference():
+    """q (T - T_in) has a second factor, which scales no difference: no friction is in it."""
+    m = casid.Model("collector")
+    T, inlet, q = m.state("T", "K"), m.input("inlet", "K"), m.input("q", "m^3/s")
+    c = m.parameter("c", "J/(m^3 K)", start=4e6)
+    m.balance(T, "heat", inertia=m.parameter("C", "J/K"), terms=[-c * q * (T - inlet)])
+    m.output("T_out", T, "K")
+    assert elements_of(m) == []
 
 
 def test_a_heat_flow_between_two_stores_enters_a_derivative_too():
