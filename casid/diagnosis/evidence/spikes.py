@@ -100,8 +100,7 @@ def find_spikes(
         mask = np.zeros(len(d), dtype=bool)
         # A spike's neighbours show half of it, with the other sign: keep the tops only.
         for k in np.flatnonzero(np.abs(d) > threshold * sd) if sd > 0 else ():
-            near = d[max(k - 1, 0) : k + 2]
-            mask[k] = np.abs(d[k]) >= np.abs(near).max() and _stands_alone(near, d[k], sd)
+            mask[k] = np.abs(d[k]) >= np.abs(d[k - 1 : k + 2]).max() and _stands_alone(d, k, sd)
         masks.append(mask)
     for mask, response in zip(masks, _responses(masks, inputs, alpha), strict=False):
         mask &= ~response
@@ -193,12 +192,16 @@ def _is_white(differences: Sequence[Array]) -> bool:
     return far < OUTLIERS.like_white
 
 
-def _stands_alone(near: Array, top: float, sd: float) -> bool:
-    """False where a large d has not half of it, with the other sign, on both sides on average."""
-    if len(near) < 3 or abs(top) < OUTLIERS.large * sd:
+def _stands_alone(d: Array, k: int, sd: float) -> bool:
+    """False where a large d has not half of it, with the other sign, on both sides on average.
+
+    The first and the last sample have none: beside them the other side alone says it.
+    """
+    if abs(d[k]) < OUTLIERS.large * sd:
         return True
+    beside = np.mean([d[j] for j in (k - 1, k + 1) if 0 < j < len(d) - 1])
     least, most = OUTLIERS.neighbours
-    return least < -float(near[0] + near[2]) / (2 * top) < most
+    return least < -float(beside / d[k]) < most
 
 
 def _largest(d: Array) -> float:

@@ -137,6 +137,23 @@ def test_large_errors_are_all_found_whatever_smooth_misfit_they_stand_on():
     assert spikes.energy == pytest.approx(60 * 145.5, rel=0.1)
 
 
+def test_a_motion_that_begins_with_the_record_is_no_outlier_in_its_second_sample():
+    """The first sample says nothing beside the second: the third shows more than half of it."""
+    r = 0.001 * np.random.default_rng(1).standard_normal(2000)
+    begins = np.cumsum([0.0, 0.19, *0.257 * 0.763 ** np.arange(1998)])
+    assert find_spikes("y", [r + begins], ALPHA) is None
+    assert find_spikes("y", [r + begins[::-1]], ALPHA) is None
+
+
+@pytest.mark.parametrize("k", [1, 1998])
+def test_an_outlier_beside_an_end_of_the_record_is_found(k):
+    r = np.random.default_rng(1).standard_normal(2000)
+    r[k] += 25.0
+    spikes = find_spikes("y", [r], ALPHA)
+    assert spikes is not None
+    assert np.flatnonzero(spikes.masks[0]) == pytest.approx([k])
+
+
 def test_a_quantised_record_is_not_free_of_noise():
     """Most differences are zero exactly: their median would make a spike of every step."""
     r = np.round(0.4 * np.random.default_rng(2).standard_normal(4000))
