@@ -99,8 +99,9 @@ def find_spikes(
     for d, sd in zip(differences, sds, strict=True):
         mask = np.zeros(len(d), dtype=bool)
         # A spike's neighbours show half of it, with the other sign: keep the tops only.
-        for k in np.flatnonzero(np.abs(d) > threshold * sd) if sd > 0 else ():
-            mask[k] = np.abs(d[k]) >= np.abs(d[k - 1 : k + 2]).max() and _stands_alone(d, k, sd)
+        for k in np.flatnonzero(np.abs(d) > threshold * sd).tolist() if sd > 0 else ():
+            is_top = np.abs(d[k]) >= np.abs(d[k - 1 : k + 2]).max()
+            mask[k] = is_top and _stands_alone(d, k, sd)
         masks.append(mask)
     for mask, response in zip(masks, _responses(masks, inputs, alpha), strict=False):
         mask &= ~response
