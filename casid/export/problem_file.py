@@ -338,13 +338,18 @@ class _Writer:
             for blend in entry.blends:
                 hold = f"{_text(name)}, {_text(blend.toward)}"
                 lines += self._extended(f"casid.hold({self.m}, {hold})", blend.parameter)
+        shared: dict[str, list[Stage]] = {}
         for stage in self.whole.stages:
+            shared.setdefault(stage.parameter, []).append(stage)
+        for stage, *others in shared.values():
             function, size = _EXTENSIONS[stage.kind]
             p = self.whole.parameters[stage.parameter]
             largest = p.upper if size == "longest" else self.fitted.si_values[p.name]
             number = f"{largest:.3g}" if size == "longest" else self._number(p.name, largest)
             number = f"{largest:.9g}" if size == "rate" else number  # SI, whatever the channel
-            made = f"casid.{function}({self.m}, {_text(stage.channel)}, {size}={number})"
+            channel = ", ".join(_text(s.channel) for s in (stage, *others))
+            channel = f"[{channel}]" if others else channel
+            made = f"casid.{function}({self.m}, {channel}, {size}={number})"
             lines += self._extended(made, stage.parameter)
             if stage.share:
                 lines += self._valued(stage.share, is_free=False)

@@ -142,6 +142,28 @@ def test_actuators_parts_and_limits_are_written(tmp_path: Path) -> None:
     assert_same(*simulate_both(fitted, problem), 1e-10)
 
 
+def test_a_lag_that_several_commands_share_is_written_once(tmp_path: Path) -> None:
+    m = casid.Model("lift")
+    w, g = m.state("w", "m/s"), m.constant("g", 9.81, "m/s^2")
+    thrusts = [m.input(n, "N", hold="zoh", known=True) for n in ("front", "rear")]
+    drag = m.parameter("d", "N s/m", start=0.3)
+    m.balance(w, "lift", inertia=1.2, terms=[*thrusts, -drag * w, -1.2 * g], unit="N")
+    m.output("climb", w, "m/s")
+    fitted = fitted_model(
+        casid.Problem("lift", m),
+        [lambda m: casid.actuator_lag(m, ["front", "rear"], 0.5)],
+        {"d": 0.4, "tau_front_rear": 0.06},
+        x0=(0.0,),
+        Ts=0.02,
+        N=300,
+    )
+    problem = reloaded(fitted, tmp_path)
+    assert (tmp_path / "problem.py").read_text().count(
+        'casid.actuator_lag(m, ["front", "rear"]'
+    ) == 1
+    assert_same(*simulate_both(fitted, problem), 1e-12)
+
+
 def test_what_depends_on_the_clock_is_written(tmp_path: Path) -> None:
     fitted = fitted_model(
         pendulum.problem,

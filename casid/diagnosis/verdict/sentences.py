@@ -143,8 +143,19 @@ def says_kind(
     restoring = f"the restoring {where if where in _FORCES else f'term of {place}'}"
     restoring = f"the spring that acts on {where}" if is_relative else restoring
     own, _, source = where.partition("~")
+    if kind == "actuator_lag" and ", " in where:
+        return f"{_inputs_do(where, 'acts')} with one first-order lag"
     return _SAYS[kind].format(
         where=where, place=place, restoring=restoring, own=own, source=source, on=on
+    )
+
+
+def _inputs_do(where: str, does: str) -> str:
+    """An input, or several with commas between them, and what they do: "the inputs u, v act"."""
+    return (
+        f"the inputs {where} {does.replace('acts', 'act', 1)}"
+        if ", " in where
+        else (f"the input {where} {does}")
     )
 
 
@@ -200,7 +211,7 @@ def says(effect: Effect, column: str = "") -> str:
         comma = "," if "," in effect.description else ""
         return f"{effect.description}{comma} is missing in {there}"
     if effect.kind == "time_delay" and effect.description:
-        return f"the input {effect.where} {effect.description}"
+        return _inputs_do(effect.where, effect.description)
     if effect.kind == "hold" and effect.description:
         one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")
         course = f'{effect.description} (hold="{HOLD_OF[effect.description]}")'

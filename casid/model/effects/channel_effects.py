@@ -12,6 +12,7 @@ from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.alike_commands import alike_commands
 from casid.model.effects.effect import Effect, Sizes, switched_on
 from casid.model.effects.names import ACTS_LATE, BESIDE_ITS_ZERO, LATER_THAN_RECORDED, RECORDED_LATE
 from casid.model.effects.place import recorded_inputs
@@ -79,7 +80,7 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
 
 
 @names_wrong_types(ModelError)
-def dead_time(model: Model, channel: str, longest: float) -> Effect:
+def dead_time(model: Model, channel: str | Sequence[str], longest: float) -> Effect:
     """A recorded input that acts later than it is recorded, by at most `longest` seconds.
 
     A command has a dead time (a valve, a driver, a network), a measured input a transport delay (a
@@ -87,35 +88,47 @@ def dead_time(model: Model, channel: str, longest: float) -> Effect:
     band-limited as declared, is delayed by any part of a sample. What it did before the record no
     sample shows: as many samples as `longest` has are left out of every output.
 
+    Parameters
+    ----------
+    channel : an input, or several that act late by one time.
+
     Raises
     ------
     ModelError
         If the input is not recorded, stands in for an unknown one, or acts late already.
     """
-    entry = model.inputs[channel]
-    require_command(model, channel, instead="time_delay")
-    if is_late(model, channel):
-        raise ModelError(
-            f"{model.name}: the input {channel} acts late already; extend the model before that "
-            "delay"
-        )
-    p = Parameter(f"dead_time_{channel}", "s", 0.0, lower=0.0, upper=longest)
+    channels = as_channels(channel)
+    for name in channels:
+        require_command(model, name, instead="time_delay")
+        if is_late(model, name):
+            raise ModelError(
+                f"{model.name}: the input {name} acts late already; extend the model before that "
+                "delay"
+            )
+    p = Parameter(f"dead_time_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        carry(new, Stage("late_input", channel, names[0]))
+        for name in channels:
+            carry(new, Stage("late_input", name, names[0]))
 
-    is_command = entry.kind == "known"
+    is_command = all(model.inputs[name].kind == "known" for name in channels)
+    late = f"{ACTS_LATE}, by a dead time" if is_command else LATER_THAN_RECORDED
     return Effect(
         "time_delay",
-        channel,
+        ", ".join(channels),
         (p,),
         apply,
         sided="positive",
         limit=longest,
         priority=1,
         shape="" if is_command else ACTS_LATE,
-        description=f"{ACTS_LATE}, by a dead time" if is_command else LATER_THAN_RECORDED,
+        description=late,
     )
+
+
+def as_channels(channel: str | Sequence[str]) -> list[str]:
+    """One channel or several, as a list."""
+    return [channel] if isinstance(channel, str) else list(channel)
 
 
 def commands_of(model: Model) -> list[str]:
@@ -140,9 +153,10 @@ def require_command(model: Model, channel: str, *, instead: str) -> None:
 
 
 def dead_times_of(model: Model, sizes: Sizes) -> list[Effect]:
-    """Recorded inputs that may act late, each that is not moved in time yet."""
+    """Recorded inputs that may act late, each that is not moved in time yet, and those alike."""
     longest = max(RANGES.dead_time * (sizes.window[1] - sizes.window[0]), sizes.longest_delay)
-    return [dead_time(model, n, longest) for n in commands_of(model) if not is_moved(model, n)]
+    free = [n for n in commands_of(model) if not is_moved(model, n)]
+    return [dead_time(model, n, longest) for n in (*free, *alike_commands(model, free))]
 
 
 def carry(model: Model, stage: Stage) -> None:

@@ -15,7 +15,14 @@ import numpy as np
 from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.declarations import Parameter, Stage
-from casid.model.effects.channel_effects import carry, commands_of, is_lagging, require_command
+from casid.model.effects.alike_commands import alike_commands
+from casid.model.effects.channel_effects import (
+    as_channels,
+    carry,
+    commands_of,
+    is_lagging,
+    require_command,
+)
 from casid.model.effects.effect import Effect, Sizes, added_state, is_null, known_while_null
 from casid.model.effects.names import STORE
 from casid.model.effects.place import Expr, Place, balance_place, in_symbols_of, is_mechanical
@@ -26,7 +33,7 @@ from casid.model.units import same_dimension, unit_quotient
 
 
 @names_wrong_types(ModelError)
-def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
+def actuator_lag(model: Model, channel: str | Sequence[str], longest: float) -> Effect:
     """A recorded command that acts through 1/(tau s + 1), tau at most `longest` seconds.
 
     What the actuator did is computed exactly for the command held or joined by straight lines, and
@@ -34,23 +41,31 @@ def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
     the lag nor its derivative moves anything by half a sample. Before the record the command was
     what it is at its first sample.
 
+    Parameters
+    ----------
+    channel : a command, or several whose actuators have one lag.
+
     Raises
     ------
     ModelError
         If the input is not recorded, stands in for an unknown one, or lags already.
     """
-    require_command(model, channel, instead="sensor_lag")
-    if is_lagging(model, channel):
-        raise ModelError(
-            f"{model.name}: the command {channel} acts through a lag already; extend the model "
-            "before that one"
-        )
-    p = Parameter(f"tau_{channel}", "s", 0.0, lower=0.0, upper=longest)
+    channels = as_channels(channel)
+    for name in channels:
+        require_command(model, name, instead="sensor_lag")
+        if is_lagging(model, name):
+            raise ModelError(
+                f"{model.name}: the command {name} acts through a lag already; extend the model "
+                "before that one"
+            )
+    p = Parameter(f"tau_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        carry(new, Stage("lag_input", channel, names[0]))
+        for name in channels:
+            carry(new, Stage("lag_input", name, names[0]))
 
-    return Effect("actuator_lag", channel, (p,), apply, sided="positive", limit=longest, priority=1)
+    where = ", ".join(channels)
+    return Effect("actuator_lag", where, (p,), apply, sided="positive", limit=longest, priority=1)
 
 
 def missing_mode(model: Model, where: str | Place, omega: float, *, at_rest: bool = True) -> Effect:
@@ -208,9 +223,10 @@ def mode_frequencies(sizes: Sizes, Ts: float | None = None) -> list[float]:
 
 
 def structure_effects_of(model: Model, sizes: Sizes) -> list[Effect]:
-    """Actuators that may lag: one for each recorded command that does not yet."""
+    """Actuators that may lag: one for each recorded command that does not yet, and those alike."""
     longest = RANGES.actuator_lag * (sizes.window[1] - sizes.window[0])
-    return [actuator_lag(model, c, longest) for c in commands_of(model) if not is_lagging(model, c)]
+    free = [c for c in commands_of(model) if not is_lagging(model, c)]
+    return [actuator_lag(model, c, longest) for c in (*free, *alike_commands(model, free))]
 
 
 def missing_modes_of(model: Model, sizes: Sizes, Ts: float | None = None) -> list[Effect]:
