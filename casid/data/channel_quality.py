@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import TINY, BoolArray, FloatArray
 from casid.data.findings import Finding
+from casid.data.held_signals import is_rounded
 from casid.data.missing_samples import is_as_placed, some_missing
 from casid.data.record import Record
 from casid.data.sampling import gaps_of
@@ -215,16 +216,7 @@ def _is_held(x: FloatArray, step: float | None) -> bool:
     lengths = np.diff(np.concatenate(([-1], leaps, [x.size - 1])))
     if not leaps.size or np.mean(lengths >= HELD) < 0.9:
         return False
-    levels = np.unique(x).size
-    is_rounded = step is not None and levels >= 4 and _moves_by_single_steps(x, step)
-    return not is_rounded
-
-
-def _moves_by_single_steps(x: FloatArray, step: float) -> bool:
-    """True where nine changes in ten go to the next level of a grid."""
-    moves = np.abs(np.round(np.diff(x) / step))
-    moves = moves[moves > 0]
-    return bool(moves.size) and float(np.mean(moves == 1)) >= 0.9
+    return step is None or not is_rounded(x, step)
 
 
 def _wide_band(name: str) -> Finding:
@@ -248,7 +240,7 @@ def _quantised(name: str, shown: str, kept: FloatArray, step: float, noise: floa
         text = f"coarsely quantised: {steps}, {many}"
         return [Finding("warning", name, text, f"Count {count}")] if step >= noise else []
     moves = np.count_nonzero(np.abs(np.diff(kept)) > 0.5 * step)
-    if levels < 4 or moves < 2 * levels or not _moves_by_single_steps(kept, step):
+    if moves < 2 * levels or not is_rounded(kept, step):
         return []
     remedy = f"Right for a command; of a sensor count {count}"
     return [Finding("note", name, f"moves by single {steps}, {many}", remedy)]

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from casid.arrays import FloatArray
+from casid.data.held_signals import is_held, is_switched
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.file_format import FileFormat
@@ -25,8 +26,6 @@ from casid.errors import DataError, nearest
 from casid.model.quantities import window_text
 from casid.model.units import parse_unit, unit_aliases
 
-_HELD = 0.5  # heuristic: in a held command more samples than these repeat the one before ...
-_STEP = 0.05  # ... and the others move by more than this share of its spread: no quantisation
 _COUNTING = 0.99  # of the steps of a column that counts rows, at least, are the same; heuristic
 _COPY = 1e-6  # of its largest deviation: a column of seven digits computed from another; heuristic
 _NO_NAMES = {*keyword.kwlist, "m", "t", "casid", "ca", "problem"}  # of a problem file's own
@@ -82,7 +81,7 @@ class FileChannel:
     @property
     def is_switched(self) -> bool:
         """True for a command that is on or off, 0 or 1: no sensor adds noise to it."""
-        return not self.is_constant and bool(np.isin(self.values, (0.0, 1.0)).all())
+        return is_switched(self.values)
 
     @property
     def step_of_count(self) -> float | None:
@@ -97,11 +96,7 @@ class FileChannel:
     @property
     def is_held(self) -> bool:
         """True for a signal of steps: most samples repeat the one before."""
-        changes = np.abs(np.diff(self.values))
-        moving = changes[changes > 0.0]
-        if self.is_constant or moving.size > (1.0 - _HELD) * changes.size:
-            return False
-        return bool(np.median(moving) > _STEP * np.std(self.values))
+        return is_held(self.values)
 
 
 class FileChannels(NamedTuple):

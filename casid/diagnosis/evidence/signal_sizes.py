@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.held_signals import is_held, is_switched
 from casid.diagnosis.evidence.bursts import burst_onset
 from casid.diagnosis.evidence.command_rates import command_rates
 from casid.diagnosis.evidence.prewhitening import Weighted
@@ -16,6 +17,7 @@ from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.noise import with_rounding
 from casid.estimation.simulation.minimization import Fit
+from casid.model.declarations import Hold
 from casid.model.effects.effect import Motion, Sizes, Spread
 
 
@@ -131,6 +133,7 @@ def _course(at: Weighted, states: Sequence[Array], expression: Any) -> Array:
 
 
 def _spread(at: Weighted, channel: str) -> Spread:
-    """Mean and range of a channel over the fitted records."""
+    """Mean and range of a channel over the fitted records; it is held if it moves in steps."""
     c = np.concatenate([e.record[channel] for e in at.criterion.experiments])
-    return Spread(float(c.mean()), float(c.min()), float(c.max()))
+    hold: Hold = "zoh" if is_switched(c) or is_held(c) else "foh"
+    return Spread(float(c.mean()), float(c.min()), float(c.max()), hold)

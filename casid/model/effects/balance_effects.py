@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casid.model.declarations import Input, Parameter
+from casid.model.declarations import Hold, Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import (
     Effect,
@@ -223,13 +223,15 @@ def offset(model: Model, where: str | Place) -> Effect:
     return force_along(place, "offset", Parameter(symbol, place.unit, 0.0), lambda F_0: F_0)
 
 
-def extra_input(model: Model, balance: str, channel: str, unit: str, about: float = 0.0) -> Effect:
+def extra_input(
+    model: Model, balance: str, channel: str, unit: str, about: float = 0.0, hold: Hold = "foh"
+) -> Effect:
     """b u: a recorded channel that acts in a balance although the model does not use it.
 
     A channel of the rate's own kind in a balance of no force (a temperature beside a heat balance)
     exchanges: what acts is its difference to the rate, b (c - x). Any other acts from its zero, or
     with `about` u_0 (SI unit) from an operating point, b (u - u_0): the record's constants, fitted
-    at that point, hold the rest.
+    at that point, hold the rest. Between its samples it does what `hold` says.
     """
     b = model.balances[balance]
     p = Parameter(f"b_{channel}", unit_quotient(b.unit, unit, 1), 0.0)
@@ -239,7 +241,7 @@ def extra_input(model: Model, balance: str, channel: str, unit: str, about: floa
         if channel in new.inputs:
             u = new.symbol(channel)
         else:
-            u = new.add_input(Input(channel, unit, "known", "foh"))
+            u = new.add_input(Input(channel, unit, "known", hold))
         acts = u - new.symbol(b.rate) if exchanges else _about(u, about)
         new.add_term(balance, new.symbol(names[0]) * acts)
 
@@ -277,16 +279,17 @@ def extra_inputs_of(
 
     The zero of a temperature scale means nothing to a force: from there it would be a constant.
     """
+    hold = reading.hold if reading else "foh"
     if (
         reading is None
         or not is_one_sided(reading.lowest, reading.highest)
         or _exchanges(model, balance, unit)
     ):
-        yield extra_input(model, balance, channel, unit)
+        yield extra_input(model, balance, channel, unit, hold=hold)
         return
     if not same_dimension(unit, "K"):
-        yield extra_input(model, balance, channel, unit)
-    yield extra_input(model, balance, channel, unit, reading.mean)
+        yield extra_input(model, balance, channel, unit, hold=hold)
+    yield extra_input(model, balance, channel, unit, reading.mean, hold)
 
 
 def _exchanges(model: Model, balance: str, unit: str) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.model.declarations import Parameter
+from casid.model.declarations import Hold, Parameter
 from casid.model.declared_units import unit_in_balance
 from casid.model.effects.names import STORE
 from casid.model.effects.search_ranges import SMOOTHING
@@ -56,11 +56,15 @@ HYSTERESIS_SHAPE = "hysteresis"
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean and range of a recorded channel over the fitted records, in its own unit."""
+    """Mean and range of a recorded channel over the fitted records, in its own unit.
+
+    `hold` is what it does between its samples.
+    """
 
     mean: float
     lowest: float
     highest: float
+    hold: Hold = "foh"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

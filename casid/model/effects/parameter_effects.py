@@ -333,7 +333,8 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
 
     def apply(new: Model, names: Sequence[str]) -> None:
         is_own = channel in new.inputs
-        c = new.symbol(channel) if is_own else new.add_input(Input(channel, unit, "known", "foh"))
+        signal = Input(channel, unit, "known", spread.hold)
+        c = new.symbol(channel) if is_own else new.add_input(signal)
         moved = new.symbol(name) + new.symbol(names[0]) * (c - carrying_unit(spread.mean))
         new.substitute_symbol(name, moved)
 

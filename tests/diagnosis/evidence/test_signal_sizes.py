@@ -34,3 +34,37 @@ def test_a_delay_is_sought_up_to_a_time_constant_some_samples_or_a_tenth_of_the_
     fit = fit_model(m, data, casid.FitSettings(starts=1))
     found = sizes_of(Weighing(data).weigh(m, fit), {})
     assert found.longest_delay == pytest.approx(longest, rel=0.02)
+
+
+def test_a_switched_column_acts_until_its_next_sample():
+    """A window that is open or shut, logged every ten minutes beside a thermometer.
+
+    The heat balance is solved exactly over each interval. Joined by straight lines, the switch
+    would act half an interval early, and its gain be wrong by more than its error.
+    """
+    rng, Ts, N, C, G, loss = np.random.default_rng(8), 600.0, 700, 2e5, 60.0, 40.0
+    power = np.repeat(rng.choice([0.0, 800.0], N // 5), 5)
+    window = rng.integers(0, 2, N).astype(float)
+    T = np.zeros(N)
+    for k in range(N - 1):
+        level = (power[k] - loss * window[k]) / G
+        T[k + 1] = level + (T[k] - level) * np.exp(-G * Ts / C)
+    m = casid.Model("room")
+    x = m.state("x", "K", initial=0.0)
+    u = m.input("power", "W", hold="zoh", known=True)
+    heat = m.parameter("C", "J/K", start=1e5, lower=1e4)
+    m.balance(x, "heat", inertia=heat, terms=[u, -m.parameter("G", "W/K", start=50.0) * x])
+    m.output("above", x, "K")
+    problem = casid.Problem("room", m, recorded={"window": "1"}, starts=1)
+    above = T + 0.02 * rng.standard_normal(N)
+    record = casid.Record(
+        {"power": power, "window": window, "above": above},
+        {"power": "W", "window": "1", "above": "K"},
+        Ts=Ts,
+    )
+    found = casid.diagnose(problem, record, advise=False)
+    (cause,) = found.causes
+    assert (cause.kind, cause.where) == ("extra_input", "window")
+    size = cause.parameters[0]
+    assert abs(size.value + loss) < 3 * size.std_error
+    assert found.extended.model.model.inputs["window"].hold == "zoh"
