@@ -39,11 +39,16 @@ class Path:
     feedthrough: Array  # (N, ny, nu)
     anew: Array = field(default_factory=lambda: np.zeros(0, dtype=int))  # states of their own
 
-    def respond(self, balance: int, force: Array) -> Array:
-        """Outputs (N, ny, m) to m forces (N, m) in one balance."""
+    def respond(self, balance: int, force: Array, ends: Array | None = None) -> Array:
+        """Outputs (N, ny, m) to m forces (N, m) in one balance.
+
+        Between samples straight lines join them. `ends` (N, m), if given, is where the line that
+        begins at the sample before ends: a force of a held input leaps at the samples.
+        """
         n, m = force.shape
         nx = self.A.shape[1]
-        ahead = np.vstack([force[1:], force[-1:]])
+        lines = force if ends is None else ends
+        ahead = np.vstack([lines[1:], lines[-1:]])
         states = np.zeros((m, n, nx))  # each column's in one piece, as the solver takes them
         push = states[:, 1:].transpose(1, 2, 0)
         push += self.B0[:-1, :, balance, None] * force[:-1, None, :]

@@ -16,6 +16,7 @@ from scipy.stats import norm
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.window_states import states_of_windows
 from casid.diagnosis.thresholds import SUFFICIENCY
 from casid.estimation.covariance import FEWEST_FOR_WHITENESS, autocorrelation, whiteness
 from casid.estimation.estimate import Estimate
@@ -202,14 +203,20 @@ def _none_is_known(at: Weighted, std_error: Callable[[str], float]) -> bool:
 def why_too_few(criterion: SimulationError, whole: Sequence[Experiment] = ()) -> str:
     """Why the samples are too few for the unknowns, or an empty text.
 
-    It names the remedy where the records as a `whole`, with what is held out, have enough.
+    It names the remedy where the records as a `whole`, with what is held out, have enough. The
+    state that each window of an unstable model begins in takes a sample for itself, and no more:
+    it is of its window alone.
     """
-    n, unknowns = criterion.n_samples, len(criterion.variables)
+    unknowns = len(criterion.variables)
+    taken = len(states_of_windows(criterion, range(unknowns)))
+    n, unknowns = criterion.n_samples - taken, unknowns - taken
     least = fewest_samples(unknowns)
     if n >= least:
         return ""
+    left = f", less {taken} for the states that its windows begin in," if taken else ""
     few = (
-        f"{n} samples are too few to judge a model with {unknowns} unknowns; {least} are the least"
+        f"{n} samples{left} are too few to judge a model with {unknowns} unknowns; {least} are the "
+        "least"
     )
     outputs = criterion.outputs
     there = sum(int((~e.record.is_missing(name)).sum()) for e in whole for name in outputs)

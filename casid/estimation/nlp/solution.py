@@ -153,6 +153,24 @@ def not_converged(program: str, solution: Solution) -> SolveError:
     )
 
 
+def is_held(gap: Any, gain: Any, scale: Any, bound: Any, value: Any) -> Any:
+    """Whether bounds hold variables: of arrays, or of CasADi expressions.
+
+    A solver that stays inside stops where the way that is left gains nothing: of a long parameter
+    that matters little, before it is within a millionth of its scale.
+
+    Parameters
+    ----------
+    gap, gain : way to the bound, and how fast the criterion falls along it.
+    bound : its size.
+    value : of the criterion.
+    """
+    fall = gain * gap
+    is_next_to = gap <= 1e-6 * scale
+    gains_nothing = (0.0 < fall) * (fall <= 1e-9 * abs(value)) * (gap <= 1e-4 * (scale + bound))
+    return (is_next_to + gains_nothing) > 0
+
+
 def judged(
     names: tuple[str, ...],
     x: Array,
@@ -169,8 +187,9 @@ def judged(
     and evaluations.
     """
     lower, upper, low, high = box
-    span = 1e-6 * scale
-    at_lower, at_upper = x <= lower + span, x >= upper - span
+    with np.errstate(invalid="ignore"):  # no slope towards a bound at infinity
+        at_lower = is_held(x - lower, at.gradient, scale, abs(lower), at.value)
+        at_upper = is_held(upper - x, -at.gradient, scale, abs(upper), at.value)
     to_lower, to_upper = low - at.constraints, high - at.constraints
     violation = float(max(to_lower.max(initial=0.0), -to_upper.min(initial=0.0)))
     if not np.isfinite(at.constraints).all():

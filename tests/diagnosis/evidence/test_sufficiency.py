@@ -20,6 +20,7 @@ from casid.diagnosis.evidence.sufficiency import (
     weak_parameters,
     weighted_as_white,
     why_doubtful,
+    why_too_few,
     why_uninformative,
 )
 from casid.diagnosis.settings import require_settings
@@ -336,3 +337,29 @@ def test_an_output_that_follows_a_command_between_its_samples_is_no_noise(known)
         reason = why_uninformative(m, split_records([casid.Experiment(record)], 0.3))
         assert ("noise alone: white, and uncorrelated with u" in reason) == is_noise
         assert bool(reason) == is_noise
+
+
+def test_the_states_that_windows_begin_in_take_samples_of_their_own_and_no_more():
+    """Of an unstable rod in 100 windows of 15 samples, one parameter is estimated by 1300."""
+    m = casid.Model("rod")
+    q, v = m.state("q", "rad"), m.state("v", "rad/s")
+    u = m.input("u", "N m", hold="zoh", known=True)
+    m.derivative(q, v)
+    m.balance(
+        v,
+        "torque",
+        inertia=m.constant("J", 1.0, "kg m^2"),
+        terms=[u, m.parameter("c", "N m/rad", start=9.0) * q],
+    )
+    m.output("angle", q, "rad")
+    rng = np.random.default_rng(1)
+    record = casid.Record(
+        {"u": rng.normal(size=1500), "angle": rng.normal(size=1500)},
+        {"u": "N m", "angle": "rad"},
+        Ts=0.01,
+    )
+    windows = SimulationError(m, [casid.Experiment(record, window=15)])
+    assert len(windows.variables) == 201
+    assert why_too_few(windows) == ""
+    few = SimulationError(m, [casid.Experiment(record.between(0.0, 0.145), window=5)])
+    assert "less 6 for the states that its windows begin in" in why_too_few(few)

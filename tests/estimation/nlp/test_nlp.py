@@ -11,7 +11,7 @@ import pytest
 from casid.errors import SolveError
 from casid.estimation.nlp.criterion import FALL, PATIENCE
 from casid.estimation.nlp.nlp import Nlp
-from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.nlp.solution import Evaluation, judged
 from casid.estimation.nlp.solver import LEADS_TO_KNOWN, Solver, descending
 
 SOLVERS = pytest.mark.parametrize("solver", [Solver("ipopt"), Solver("sqpmethod")], ids=repr)
@@ -591,3 +591,27 @@ def test_a_search_begins_where_it_was_told_to_whatever_the_size_of_a_variable(lo
     nlp.minimize(Plateau())
     solution = nlp.solve(throw=False, natural_scales=True)
     assert solution.value == pytest.approx(1.0, abs=1e-6)
+
+
+def flat(slope: float) -> Evaluation:
+    """A criterion of one variable that hardly depends on it, without constraints."""
+    none = np.zeros(0), np.zeros((0, 1))
+    return Evaluation(100.0, np.array([slope]), np.array([[1e-6]]), *none)
+
+
+@pytest.mark.parametrize("gap", [1e-7, 1e-5, 5e-4])
+def test_a_bound_holds_what_would_gain_nothing_on_the_way_to_it(gap: float):
+    """A long parameter that matters little: next to its bound of 30, Ipopt stops inside."""
+    x, at = np.array([30.0 - gap]), flat(-1e-4)
+    box = np.array([0.0]), np.array([30.0]), np.zeros(0), np.zeros(0)
+    found = judged(("tau",), x, at, np.ones(1), box, ("Solve_Succeeded", 5, 5), "ipopt")
+    assert found.is_converged
+    assert found.at_upper == ("tau",)
+
+
+def test_no_bound_holds_what_gains_on_the_way_to_it_or_is_pulled_inside():
+    box = np.array([0.0]), np.array([30.0]), np.zeros(0), np.zeros(0)
+    for slope, gap in ((-1.0, 1e-4), (-1e-8, 5.0), (1.0, 1e-4)):
+        x, at = np.array([30.0 - gap]), flat(slope)
+        found = judged(("tau",), x, at, np.ones(1), box, ("Solve_Succeeded", 5, 5), "ipopt")
+        assert found.at_upper == ()
