@@ -106,8 +106,11 @@ def with_tangent(spectra: Spectra, columns: Sequence[Array]) -> Spectra:
     columns : (N, ny, n) an experiment, sensitivities of the residual under the same window.
     """
     parts = []
+    # Near parameters at which a model is unstable, sensitivities grow until their squares overflow.
+    largest = np.max([np.abs(each).max(axis=(0, 1), initial=0.0) for each in columns], axis=0)
+    largest[largest <= TINY] = 1.0
     for each in columns:
-        lines = np.fft.rfft(each, axis=0) / np.sqrt(len(each))
+        lines = np.fft.rfft(each / largest, axis=0) / np.sqrt(len(each))
         starts = band_edges(len(each))[:-1]
         for i in range(each.shape[1]):
             of = lines[:, i]

@@ -208,7 +208,8 @@ class Weighing:
                 yield from self._shapes(self.estimated(_moved(found.fit, c, at_bounds)))
         with contextlib.suppress(CasidError):
             if error_over_noise(found.fit, found.full) > RESTARTS.far:
-                yield self.estimated(_moved(found.fit, c, declared))
+                # The states that the record began in were those of where it went astray.
+                yield self.estimated(_moved(found.fit, c, _with_states_anew(c, declared)))
 
     def _shapes(self, found: Weighted) -> Iterator[Weighted]:
         """The same, and with forces of first order alone where one of them is not."""
@@ -234,16 +235,7 @@ class Weighing:
         """The same under its own noise; initial states, which a taper hides, are found anew."""
         criterion = self.criterion(model, at.full, at.fit.values, at.criterion)
         use_samples_of(criterion, at.criterion)
-        x = at.fit.x.copy()
-        initial = [i for i, v in enumerate(criterion.variables) if v.source in model.states]
-        if initial:
-            here = criterion.evaluate(x)
-            matrix = here.hessian[np.ix_(initial, initial)]
-            step = -np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
-            there = x.copy()
-            there[initial] += step
-            there = within_bounds(criterion, there)
-            x = there if criterion.evaluate(there).value < here.value else x
+        x = _with_states_anew(criterion, at.fit.x)
         return replace(at, fit=_moved(at.fit, criterion, x), noise=at.full)
 
     def _without_bias(self, found: Weighted) -> Weighted | None:
@@ -441,6 +433,20 @@ def _is_at_bound(v: Variable, value: float) -> bool:
     """True at a bound, or as near as a solver that stays inside comes."""
     near = PREWHITENING.near_bound * max(abs(value), v.scale)
     return bool(not v.lower + near < value < v.upper - near)
+
+
+def _with_states_anew(criterion: SimulationError, x: Array) -> Array:
+    """The variables with initial states one Gauss-Newton step nearer the least error, if it is."""
+    states = criterion.model.states
+    initial = [i for i, v in enumerate(criterion.variables) if v.source in states]
+    if not initial:
+        return x
+    here = criterion.evaluate(x)
+    matrix = here.hessian[np.ix_(initial, initial)]
+    there = x.copy()
+    there[initial] -= np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
+    there = within_bounds(criterion, there)
+    return there if criterion.evaluate(there).value < here.value else x
 
 
 def _moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:
