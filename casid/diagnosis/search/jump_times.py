@@ -15,6 +15,7 @@ from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.sensor_dynamics import MEMORY
 from casid.model.effects.clock_effects import at_instant, knock
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
@@ -178,9 +179,16 @@ def events_of(adopted: Sequence[Candidate]) -> list[float]:
 
 
 def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool:
-    """True if a jump is at about the instant of a known one: one event, named once."""
+    """True if a jump is at about the instant of a known one: one event, named once.
+
+    So is one while an actuator that lags still shows what its command was before the record.
+    """
     start, stop = window_of(at)
     near = JUMPS.same_event * (stop - start) / (PARAMETER_JUMPS.times + 1)
     when = effect.variant
     times = [t for t in (when, effect.end) if t is not None]
+    taus = [s.parameter for s in at.model.stages if s.kind == "lag_input"]
+    lags = [at.fit.values.get(p, at.model.parameters[p].nominal) for p in taus]
+    if when is not None and when - start < MEMORY["lag"] * max(lags, default=0.0):
+        return True
     return any(abs(t - own) < near for t in known for own in times)

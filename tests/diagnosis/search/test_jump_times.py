@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.search.jump_times import is_known_event
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.effects.parameter_effects import parameter_jump
 
 TS, JUMP, NOISE = 0.1, 62.0, 5e-3
 
@@ -31,6 +35,18 @@ def run() -> casid.Record:
         h = inflow / k + (h - inflow / k) * np.exp(-k * TS)
     level += NOISE * rng.standard_normal(800)
     return casid.Record({"q": q, "level": level}, {"q": "m/s", "level": "m"}, Ts=TS, name="run")
+
+
+def test_nothing_sets_in_while_a_lagging_actuator_shows_the_time_before_the_record():
+    """Five time constants after the start less than a hundredth is left of what it did before."""
+    model, tau = leak().model, 0.4
+    lagging = casid.actuator_lag(model, "q", 5.0).extend(model, starts={"tau_q": tau})
+    experiments = [casid.Experiment(run().between(0.0, 60.0))]
+    for m, is_due_to_past in ((model, False), (lagging.with_known(tau_q=tau), True)):
+        at = Weighing(experiments).weigh(m, fit_model(m, experiments, FitSettings(starts=1)))
+        early, later = (parameter_jump(m, "k", share * tau) for share in (4.9, 5.1))
+        assert is_known_event(at, early, []) == is_due_to_past
+        assert not is_known_event(at, later, [])
 
 
 @pytest.mark.slow
