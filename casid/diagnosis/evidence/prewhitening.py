@@ -451,7 +451,7 @@ def _with_states_anew(criterion: SimulationError, x: Array) -> Array:
 
 def _moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:
     """A fit at another point, or of another criterion."""
-    value = criterion.evaluate(x).value
+    there = criterion.evaluate(x)
     sides = {
         side: tuple(
             v.name for v, a in zip(criterion.variables, x, strict=True) if a == getattr(v, side)
@@ -459,7 +459,12 @@ def _moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:
         for side in ("lower", "upper")
     }
     solution = replace(
-        fit.solution, x=x, value=value, at_lower=sides["lower"], at_upper=sides["upper"]
+        fit.solution,
+        x=x,
+        value=there.value,
+        hessian=there.hessian,
+        at_lower=sides["lower"],
+        at_upper=sides["upper"],
     )
     return replace(fit, criterion=criterion, solution=solution)
 

@@ -15,16 +15,18 @@ from casid.estimation.simulation.minimization import Fit
 def under_likelier_disturbance(search: Search, start: Weighted, fit: Fit) -> Weighted | None:
     """A model under the disturbances that its residual shows, where these may explain its misfit.
 
-    None where the sensors' noise holds no misfit, where a bound holds a parameter, which leaves
-    misfit of its own, or where white noise is likelier.
+    None where the sensors' noise holds no misfit, where a bound holds a parameter under them, too,
+    which leaves misfit of its own, or where white noise is likelier.
 
     Parameters
     ----------
     start, fit : the model, under the sensors' noise and by its simulation error.
     """
-    if not start.noise_absorbs_misfit or is_held(fit):
+    if not start.noise_absorbs_misfit:
         return None
     bare = search.under_disturbance(fit)
+    if is_held(bare.unbiased or bare.fit):
+        return None
     return bare if minus_log_likelihood(bare) <= as_white(fit) else None
 
 

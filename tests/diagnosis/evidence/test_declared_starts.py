@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing, _moved, minus_log_likelihood
+from casid.diagnosis.evidence.prewhitening import (
+    Weighing,
+    Weighted,
+    _moved,
+    minus_log_likelihood,
+)
+from casid.diagnosis.evidence.robust_errors import std_error
+from casid.diagnosis.search.disturbance_price import under_likelier_disturbance
 from casid.diagnosis.thresholds import RESTARTS
 from casid.estimation.noise import error_over_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.minimization import Fit
 
 TS, N = 0.2, 2000
 HUB, PANEL, K, C = 90.0, 30.0, 12.0, 0.6
@@ -73,6 +84,29 @@ def test_a_model_that_went_astray_is_begun_again_where_it_is_declared_to_start(s
     found, best = (beside.weigh(model, fit, rounds=1) for fit in (astray, base))
     assert minus_log_likelihood(found) == pytest.approx(minus_log_likelihood(best), abs=1.0)
     assert list(found.noise.spectra) == ["hub"]
-    values = (found.unbiased or found.fit).values
+    likeliest = found.unbiased or found.fit
     for name, true in {"hub": HUB, "panel": PANEL, "k": K, "c": C}.items():
-        assert values[name] == pytest.approx(true, rel=0.1)
+        assert likeliest.values[name] == pytest.approx(true, rel=0.1)
+        assert abs(likeliest.values[name] - true) < 4 * std_error(likeliest, name) < 0.4 * true
+
+
+def test_a_bound_that_holds_least_squares_alone_hides_no_disturbance():
+    """Least squares follow the disturbance to a bound, at which the likelihood has no maximum."""
+    model, experiments = satellite(), [casid.Experiment(pointed(1), {}, "pointed")]
+    base = fit_model(model, experiments, FitSettings(starts=1))
+    found = Weighing(experiments).with_disturbances().weigh(model, base, rounds=1)
+    likeliest = found.unbiased or found.fit
+
+    def held(fit: Fit) -> Fit:
+        at_bound = {"hub": 131.0, "panel": 1.0, "k": 125.0, "c": 1.0}
+        values = {**fit.values, **at_bound}
+        return _moved(fit, fit.criterion, np.array([values[n] for n in fit.criterion.names]))
+
+    def under(bare: Weighted) -> Weighted | None:
+        search = SimpleNamespace(under_disturbance=lambda fit: bare)
+        start = replace(found, noise_absorbs_misfit=True)
+        return under_likelier_disturbance(search, start, held(base))
+
+    assert held(base).solution.at_lower == ("panel",)
+    assert under(found) is found
+    assert under(replace(found, unbiased=held(likeliest))) is None
