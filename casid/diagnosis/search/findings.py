@@ -18,7 +18,7 @@ from casid.diagnosis.search.disturbance_rival import (
     searched_beside,
     weighed_against_disturbances,
 )
-from casid.diagnosis.search.first_cause import seen_beside_disturbance
+from casid.diagnosis.search.first_cause import leaves_noise, seen_beside_disturbance
 from casid.diagnosis.search.instant_errors import with_instant_errors
 from casid.diagnosis.search.promotion import with_likelier_rivals
 from casid.diagnosis.search.reconsideration import reconsidered
@@ -203,6 +203,9 @@ def _found(
             beside = attempt(what, lambda: searched_beside(again, seen.at, baseline, settings))
             if beside and attempt(what, lambda: leaves_disturbance_alone(search, beside)):
                 return beside.search, beside.bare, beside.found
+            if beside and beside.found.fit is not None:
+                leaves = partial(leaves_noise, search, beside.found.fit, settings)
+                first = seen.effects if attempt(what, leaves) else ()
         found = adopt_causes(search, start, fit, baseline.split, settings.refit, first)
     what = "the comparison of what was found with a random disturbance"
     compared = attempt(

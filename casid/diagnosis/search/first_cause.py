@@ -19,6 +19,7 @@ from casid.diagnosis.search.refinement import weighed_whole, whole_fit
 from casid.diagnosis.search.rounds import Search, scores_to_refit
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import SHORTLIST
+from casid.estimation.simulation.minimization import Fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,5 +59,9 @@ def seen_beside_disturbance(
         return None
     units, values = base.criterion.weights, best.fit.values
     fit = whole_fit(best.model, baseline.split, settings.refit, units, values)
-    _, at = weighed_whole(search.weighing, fit, settings.refit)
-    return Seen(bare, found, not at.noise_absorbs_misfit)
+    return Seen(bare, found, leaves_noise(search, fit, settings))
+
+
+def leaves_noise(search: Search, fit: Fit, settings: DiagnosisSettings) -> bool:
+    """Whether an extended model leaves no misfit to the noise of the sensors."""
+    return not weighed_whole(search.weighing, fit, settings.refit)[1].noise_absorbs_misfit

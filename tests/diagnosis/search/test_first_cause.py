@@ -8,6 +8,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import casid
+from casid.diagnosis.thresholds import SHORTLIST
 
 TS, N = 0.1, 1500
 B, C, K = 0.3, 0.8, 0.25
@@ -83,3 +84,44 @@ def test_where_many_are_seen_beside_waves_they_are_sought_under_the_noise_of_the
     found, said = diagnosed(record(waves=0.05))
     assert len(refits(said[said.index("test every effect (round 1)") :])) > 6
     assert found.causes[0].kind == "deadzone"
+
+
+def spindle() -> casid.Problem:
+    m = casid.Model("spindle")
+    u = m.input("u", "N m", hold="zoh", known=True)
+    w = m.state("w", "rad/s")
+    J = m.parameter("J", "kg m^2", start=1.5, lower=0.1, upper=10.0)
+    b = m.parameter("b", "N m s/rad", start=1.0, lower=0.0, upper=20.0)
+    m.balance(w, "torque", inertia=J, terms=[u, -b * w], unit="N m")
+    m.output("speed", w, "rad/s")
+    return casid.Problem("spindle", m)
+
+
+def with_dry_friction(friction: float, fine: int = 50) -> casid.Record:
+    """A spindle whose bearing sticks below its friction, in small steps; its torque is slow."""
+    rng = np.random.default_rng(7)
+    torque = lfilter([1.0], [1.0, -0.97], rng.standard_normal(N)) * 1.5 * np.sqrt(1 - 0.97**2)
+    w, speed = 0.0, np.empty(N)
+    for k in range(N):
+        speed[k] = w
+        for _ in range(fine):
+            drive = torque[k] - 0.5 * w
+            if w == 0.0 and abs(drive) <= friction:
+                continue
+            side = np.sign(w) if w else np.sign(drive)
+            after = w + TS / fine * (drive - friction * side)
+            w = 0.0 if w * after < 0.0 else after
+    speed += 5e-3 * rng.standard_normal(N)
+    return casid.Record({"u": torque, "speed": speed}, {"u": "N m", "speed": "rad/s"}, Ts=TS)
+
+
+@pytest.mark.slow
+def test_what_leaves_noise_once_it_is_refined_is_the_first_cause_as_well():
+    """The width over which dry friction is smoothed is found after it is named."""
+    said: list[str] = []
+    found = casid.diagnose(spindle(), with_dry_friction(0.2), advise=False, progress=said.append)
+    assert [(c.kind, c.where) for c in found.causes] == [("coulomb_friction", "torque")]
+    size = found.causes[0].parameters[0]
+    assert abs(size.value - 0.2) < 3 * size.std_error
+    assert said.count("test every effect (round 1)") == 2  # beside a disturbance, and without one
+    assert len(refits(said)) <= SHORTLIST.few
