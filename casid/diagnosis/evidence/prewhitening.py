@@ -443,6 +443,8 @@ def _with_states_anew(criterion: SimulationError, x: Array) -> Array:
         return x
     here = criterion.evaluate(x)
     matrix = here.hessian[np.ix_(initial, initial)]
+    if not np.all(np.isfinite([here.value, *here.gradient[initial], *matrix.ravel()])):
+        return x  # it diverges there
     there = x.copy()
     there[initial] -= np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
     there = within_bounds(criterion, there)

@@ -14,6 +14,7 @@ from casid.diagnosis.evidence.prewhitening import (
     Weighing,
     Weighted,
     _moved,
+    _with_states_anew,
     minus_log_likelihood,
 )
 from casid.diagnosis.evidence.robust_errors import std_error
@@ -110,3 +111,16 @@ def test_a_bound_that_holds_least_squares_alone_hides_no_disturbance():
     assert held(base).solution.at_lower == ("panel",)
     assert under(found) is found
     assert under(replace(found, unbiased=held(likeliest))) is None
+
+
+def test_initial_states_stay_where_the_simulation_diverges(capfd: pytest.CaptureFixture[str]):
+    """No step comes of sensitivities that are no numbers, nor a complaint of a library's."""
+    criterion = fit_model(
+        satellite(), [casid.Experiment(pointed(1))], FitSettings(starts=1)
+    ).criterion
+    values = {"panel": 1e-9, "k": 1e12, "c": 0.0, "hub": 1e-9, "e(0)": 1e150}
+    x = np.array([values.get(v.name, v.start) for v in criterion.variables])
+    with np.errstate(all="ignore"):
+        assert not np.isfinite(criterion.evaluate(x).value)
+        assert np.array_equal(_with_states_anew(criterion, x), x)
+    assert capfd.readouterr().out == ""
