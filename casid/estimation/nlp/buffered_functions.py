@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.estimation.nlp.solution import Evaluation, is_held
+from casid.estimation.nlp.solution import Evaluation, is_at_bound
 
 
 class Buffered:
@@ -133,8 +133,8 @@ def optimality_of(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
         ca.if_else(at_low, ca.fmin(pull, 0.0), 0.0) + ca.if_else(at_high, ca.fmax(pull, 0.0), 0.0),
     )
     slope = (gradient + ca.mtimes(jacobian.T, pull)) * weight
-    held_low = is_held(x - lower, gradient, scale, abs(lower), f)
-    held_high = is_held(upper - x, -gradient, scale, abs(upper), f)
+    held_low = is_at_bound(x - lower, gradient, scale, abs(lower), f)
+    held_high = is_at_bound(upper - x, -gradient, scale, abs(upper), f)
     slope = ca.if_else(held_low, ca.fmin(slope, 0.0), slope)
     slope = ca.if_else(held_high, ca.fmax(slope, 0.0), slope)
     concave = ca.mmax((h * weighs**2 < -1e-12 * level) * (1 - held_low) * (1 - held_high))

@@ -153,11 +153,11 @@ def not_converged(program: str, solution: Solution) -> SolveError:
     )
 
 
-def is_held(gap: Any, gain: Any, scale: Any, bound: Any, value: Any) -> Any:
-    """Whether bounds hold variables: of arrays, or of CasADi expressions.
+def is_at_bound(gap: Any, gain: Any, scale: Any, bound: Any, value: Any) -> Any:
+    """Whether variables are at a bound: of arrays, or of CasADi expressions.
 
-    A solver that stays inside stops where the way that is left gains nothing: of a long parameter
-    that matters little, before it is within a millionth of its scale.
+    An interior-point solver stops where the way that is left to the bound gains nothing. With a
+    parameter that matters little that is before it is within a millionth of its scale.
 
     Parameters
     ----------
@@ -188,8 +188,8 @@ def judged(
     """
     lower, upper, low, high = box
     with np.errstate(invalid="ignore"):  # no slope towards a bound at infinity
-        at_lower = is_held(x - lower, at.gradient, scale, abs(lower), at.value)
-        at_upper = is_held(upper - x, -at.gradient, scale, abs(upper), at.value)
+        at_lower = is_at_bound(x - lower, at.gradient, scale, abs(lower), at.value)
+        at_upper = is_at_bound(upper - x, -at.gradient, scale, abs(upper), at.value)
     to_lower, to_upper = low - at.constraints, high - at.constraints
     violation = float(max(to_lower.max(initial=0.0), -to_upper.min(initial=0.0)))
     if not np.isfinite(at.constraints).all():
