@@ -134,28 +134,32 @@ class Regression:
             out = np.zeros((d.N, self.ny, signal.shape[1]))
             out[:, criterion.outputs.index(self.place)] = signal
         else:
-            ends = np.hstack(self._before_steps(table, made)) if made else None
-            out = motion.path.respond(list(model.balances).index(self.place), signal, ends)
+            before = self._before_steps(table, made)
+            out = motion.path.respond(list(model.balances).index(self.place), signal, before)
             out = self.linearised.through_sensors(out, at.y, k)
         out *= d.used[:, :, None]
         stack = np.concatenate([at.residual[:, :, None], at.jacobian, out], axis=2)
         stack *= criterion.weights[None, :, None]
         return self.noise.whiten(stack, k).reshape(-1, stack.shape[2])
 
-    def _before_steps(self, table: Mapping[str, Array], made: Sequence[Array]) -> list[Array]:
-        """The groups' functions right before the samples, at which held inputs step.
+    def _before_steps(self, table: Mapping[str, Array], made: Sequence[Array]) -> Array | None:
+        """The groups' functions right before the samples, at which held inputs step; None if none.
 
         What follows from the command of a sample must not be said of the sample itself: a
         controller makes that command of what was measured, noise included.
         """
         inputs = self.criterion.model.inputs
-        held = [n for n, entry in inputs.items() if "zoh" in entry.holds]
-        held = [n for name in held for n in (name, f"slope of {name}") if n in table]
+        own = [name for name, entry in inputs.items() if "zoh" in entry.holds]
+        held = {n for name in own for n in (name, f"slope of {name}") if n in table}
+        if not any(held & {*group.names} for group in self.groups):
+            return None
         before = {**table, **{name: one_sample_late(table[name]) for name in held}}
-        return [
-            group.columns(before) if set(held) & set(group.names) else at_samples
-            for group, at_samples in zip(self.groups, made, strict=True)
-        ]
+        return np.hstack(
+            [
+                group.columns(before) if held & {*group.names} else at_samples
+                for group, at_samples in zip(self.groups, made, strict=True)
+            ]
+        )
 
     @functools.cached_property
     def between(self) -> Array:

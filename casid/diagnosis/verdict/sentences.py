@@ -152,11 +152,9 @@ def says_kind(
 
 def _inputs_do(where: str, does: str) -> str:
     """An input, or several with commas between them, and what they do: "the inputs u, v act"."""
-    return (
-        f"the inputs {where} {does.replace('acts', 'act', 1)}"
-        if ", " in where
-        else (f"the input {where} {does}")
-    )
+    if ", " in where:
+        return f"the inputs {where} {does.replace('acts', 'act', 1)}"
+    return f"the input {where} {does}"
 
 
 def _drift_time(effect: Effect) -> str:

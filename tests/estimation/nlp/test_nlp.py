@@ -601,7 +601,7 @@ def flat(slope: float) -> Evaluation:
 
 @pytest.mark.parametrize("gap", [1e-7, 1e-5, 5e-4])
 def test_a_bound_holds_what_would_gain_nothing_on_the_way_to_it(gap: float):
-    """A long parameter that matters little: next to its bound of 30, Ipopt stops inside."""
+    """A time constant that matters little: next to its bound of 30, Ipopt stops inside."""
     x, at = np.array([30.0 - gap]), flat(-1e-4)
     box = np.array([0.0]), np.array([30.0]), np.zeros(0), np.zeros(0)
     found = judged(("tau",), x, at, np.ones(1), box, ("Solve_Succeeded", 5, 5), "ipopt")
