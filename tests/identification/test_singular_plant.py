@@ -7,6 +7,7 @@ within a few e-folding times. A controller holds the ball, and the current is me
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import pytest
 import casid
 from casid.errors import SolveError
 from casid.estimation.local_rank import LocalRank, describe_null
+from casid.estimation.simulation import fit
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.instability import segments_for, window_for
 from casid.estimation.simulation.measured_states import measured_states, output_equations
@@ -117,13 +119,31 @@ def test_segments_and_windows_are_fitted_from_short_horizons(start: float):
     c = criterion(problem)
     windowed = casid.Experiment(held()[0], window=window_for(c))
     for experiment, segments in ((windowed, 1), (casid.Experiment(held()[0]), segments_for(c))):
-        fit = fit_model(problem.model, [experiment], FitSettings(starts=1, segments=segments))
-        assert fit.solution.is_converged
-        error = NOISE * fit.criterion.weights[0] / np.sqrt(fit.solution.hessian[0, 0])
-        assert abs(fit.values["K"] - K) < 3.5 * max(error, 2e-9)
-        assert np.sqrt(2 * fit.solution.value / 1200) == pytest.approx(
-            NOISE * fit.criterion.weights[0], rel=0.15
+        found = fit_model(problem.model, [experiment], FitSettings(starts=1, segments=segments))
+        assert found.solution.is_converged
+        error = NOISE * found.criterion.weights[0] / np.sqrt(found.solution.hessian[0, 0])
+        assert abs(found.values["K"] - K) < 3.5 * max(error, 2e-9)
+        assert np.sqrt(2 * found.solution.value / 1200) == pytest.approx(
+            NOISE * found.criterion.weights[0], rel=0.15
         )
+
+
+@pytest.mark.slow
+def test_short_horizons_that_lead_astray_do_not_take_a_fit_from_parameters_that_are_given(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Parameters that a longer fit has found are where the windows begin, if they end lower there.
+
+    What acts alike for an e-folding time, as motor gain and inertia of a robot that balances, the
+    sensors' noise moves over short horizons as far as into the basin of another optimum.
+    """
+    problem, record = ball(), held()[0]
+    windowed = casid.Experiment(record, window=window_for(criterion(problem)))
+    astray = SimpleNamespace(values={"K": 9e-5}, starts_tried=1, starts_agreeing=1)
+    monkeypatch.setattr(fit, "fit_of_short_horizons", lambda *_, **__: astray)
+    found = fit_model(problem.model, [windowed], FitSettings(starts=1), start={"K": 1.1 * K})
+    assert found.solution.is_converged
+    assert found.values["K"] == pytest.approx(K, rel=1e-3)
 
 
 def test_windows_that_leave_what_was_measured_are_refused_with_a_remedy():

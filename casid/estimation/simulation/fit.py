@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,7 +73,8 @@ def fit_model(
     criterion = _stated(model, experiments, settings, start, weights, substeps)
     begun = {v.name: v.start for v in criterion.variables}
     if (near := _near(criterion, settings)) is not None:
-        start, criterion = near.values, begun_at(criterion, near.values)
+        start = _lower_begin(criterion, near, settings) if start else near.values
+        criterion = begun_at(criterion, start)
     if is_free:
         criterion = _resolved(criterion, start)
     fit: Fit | None = None
@@ -130,6 +132,31 @@ def _near(criterion: SimulationError, settings: FitSettings) -> Fit | None:
     return fit_of_short_horizons(
         criterion, solver=settings.solver, starts=settings.starts, seed=settings.seed
     )
+
+
+def _lower_begin(criterion: SimulationError, near: Fit, settings: FitSettings) -> dict[str, float]:
+    """Where the search ends lower that begins near the fit over short horizons, or as stated.
+
+    Parameters that act alike for a short while are hardly determined over short horizons, and the
+    noise of the sensors may move them out of reach. Those that are stated may be of a fit over
+    more.
+    """
+    ends = []
+    for begun in (begun_at(criterion, near.values), criterion):
+        with suppress(SolveError):
+            fit = minimize_simulation_error(
+                begun,
+                solver=settings.solver,
+                starts=1,
+                seed=settings.seed,
+                constraints=settings.constraints,
+                check_rank=False,
+                throw=False,
+                retry="none",
+            )
+            if np.isfinite(fit.solution.value):
+                ends.append(fit)
+    return min(ends, key=lambda fit: fit.solution.value, default=near).values
 
 
 _FINER = "finer integration steps"
