@@ -88,7 +88,6 @@ NAMES: dict[str, Name] = {
     "ha": Name(1e4, (("m", 2),), "hectare"),
     # speed, acceleration
     "kn": Name(_KNOT, (("m", 1), ("s", -1)), "knot"),
-    "km/h": Name(1 / 3.6, (("m", 1), ("s", -1)), "kilometer / hour"),
     "mph": Name(0.44704, (("m", 1), ("s", -1)), "mile / hour"),
     "mi": Name(1609.344, (("m", 1),), "mile"),
     "cfm": Name(0.3048**3 / 60, (("m", 3), ("s", -1)), "foot**3 / minute"),

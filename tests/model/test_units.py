@@ -99,6 +99,7 @@ def test_the_quotient_of_two_units_is_written_in_si(unit, other, power, quotient
         ("g/h", "mg/L", 1, "gram L/(h mg)"),  # `g L` alone would have two readings
         ("N", "mm/s", 2, "N s^2/mm^2"),
         ("kW", "kW", 1, "1"),
+        ("kN s/m", "km/h", 2, "kN s h^2/(m km^2)"),  # a name with a quotient would be two in one
     ],
 )
 def test_the_quotient_of_two_declared_units_keeps_their_names(unit, other, power, quotient):
