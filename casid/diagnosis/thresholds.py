@@ -1066,6 +1066,12 @@ class Disturbed:
         "two, is not followed up",
         "analysis.fleet",
     )
+    explains: float = _is(
+        0.5,
+        "of the excess misfit: an effect that explains more by its score is refitted beside a "
+        "disturbance, however little its tangent gains there",
+        f"{TESTS}/search/test_disturbance_alone.py",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.evidence.score_tests import Score, ScoreTable
 from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.search.candidates import Candidate
@@ -60,20 +60,15 @@ def disturbance_alone(
         if gains.one_pays(effects, cost, len(alone.tested), start.noise):
             return None
     is_far = error_over_noise(base, start.noise) > RESTARTS.far and not adopted
-    if (is_far or beside.has_alarm(bare, table)) and _refit_pays(beside, bare, table, adopted):
+    n, tested = bare.criterion.n_samples, len(table.tested)
+    refitted = beside.refits_of(bare, _explaining(start, alone))
+    if is_far or beside.has_alarm(bare, table):
+        refitted += beside.round(bare, table, adopted)
+    if any(c.gain > price_of(c.effect.cost, n, tested) for c in refitted):
         return None
     if search.first_table is None:
         search.first_table = table
     return bare
-
-
-def _refit_pays(
-    beside: Search, bare: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
-) -> bool:
-    """True if an effect pays for itself by what its refit beside the disturbance gains."""
-    n, tested = bare.criterion.n_samples, len(table.tested)
-    found = beside.round(bare, table, adopted)
-    return any(c.gain > price_of(c.effect.cost, n, tested) for c in found)
 
 
 def pays_beside(search: Search, at: Weighted, table: ScoreTable) -> bool:
@@ -143,6 +138,23 @@ def _best(at: Weighted, table: ScoreTable) -> list[Effect]:
     scored.sort(key=lambda s: -s.unrobust)
     best = [*scored[: DISTURBED.looked_at], *temporary_changes(at, table)]
     return [s.effect for s in best]
+
+
+def _explaining(at: Weighted, table: ScoreTable) -> list[Score]:
+    """The lasting effects that by their scores explain most of the misfit, one of a kind and place.
+
+    A slow disturbance explains as much of a misfit that goes with a slow input, but not as simply.
+
+    Parameters
+    ----------
+    at, table : a model under its sensors' noise, and its scores there.
+    """
+    excess = 2 * at.fit.solution.value - at.criterion.n_samples
+    lasting = (s for s in table.tested if not s.effect.is_on_the_clock)
+    most = [s for s in lasting if s.unrobust > DISTURBED.explains * excess]
+    most.sort(key=lambda s: -s.unrobust)
+    kinds = {s.effect.key: s for s in reversed(most)}
+    return list(kinds.values())[::-1][: DISTURBED.looked_at]
 
 
 def _steps(at: Weighted, table: ScoreTable) -> list[Effect]:

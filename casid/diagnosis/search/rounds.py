@@ -251,13 +251,14 @@ class Search:
         kept = self.memory.refits
         if at in kept and not adopted:
             return list(kept[at])
-        found = self._refits(at, scores_to_refit(at, table))
+        found = self.refits_of(at, scores_to_refit(at, table))
         found = placed(self.refitting, at, found, events_of(adopted), self.progress)
         if not adopted and not self.attempts.not_done:
             kept[at] = found
         return list(found)
 
-    def _refits(self, at: Weighted, scores: Sequence[Score]) -> list[Candidate]:
+    def refits_of(self, at: Weighted, scores: Sequence[Score]) -> list[Candidate]:
+        """The effects of these scores, refitted one after the other as far as there is time."""
         found: list[Candidate] = []
         refitting = self.refitting
         short = self.attempts.attempt(

@@ -150,6 +150,60 @@ def test_a_load_that_sets_in_gains_beside_a_disturbance_at_its_exact_instant() -
     assert disturbance_alone(search, start, base) is None
 
 
+def heated(seed: int, *, late: float = 0.0, wander: float = 0.0) -> tuple[Search, Weighted, Fit]:
+    """A collector [degC]: sun through clouds, and an inlet that swings slowly and comes `late` [s].
+
+    C T' = eta G - UA (T - 20) + w (T_in - T) + d, exact for held inputs, d [W] wandering slowly.
+    """
+    rng = np.random.default_rng(seed)
+    N, Ts, C, eta, UA, w, slow = 900, 20.0, 24e3, 3.5, 17.0, 150.0, 0.99
+    t, decay = Ts * np.arange(N), np.exp(-(UA + w) * Ts / C)
+    sun = np.repeat(rng.uniform(100.0, 900.0, N // 30), 30)
+    inlet = 30.0 + 1.5 * np.sin(t / 1300.0)
+    felt = 30.0 + 1.5 * np.sin((t - late) / 1300.0)
+    T, d, course = 30.0, 0.0, []
+    for k in range(N):
+        course.append(T)
+        d = slow * d + wander * np.sqrt(1 - slow**2) * rng.normal()
+        settled = (eta * sun[k] + UA * 20.0 + w * felt[k] + d) / (UA + w)
+        T = settled + (T - settled) * decay
+    m = casid.Model("collector")
+    x = m.state("T", "degC", start=30.0)
+    G, T_in = m.input("G", "W/m^2", hold="zoh"), m.input("T_in", "degC")
+    area = m.parameter("A", "m^2", start=3.0, lower=0.1)
+    loss = m.parameter("UA", "W/K", start=15.0, lower=0.0)
+    store = m.parameter("C", "kJ/K", start=20.0, lower=1.0)
+    flow, air = m.constant("w", w, "W/K"), m.constant("T_a", 293.15, "K")
+    m.balance(x, "heat", inertia=store, terms=[area * G, -loss * (x - air), flow * (T_in - x)])
+    m.output("T", x, "degC")
+    noise = rng.standard_normal((3, N))
+    signals = {
+        "G": sun + 2.0 * noise[0],
+        "T_in": inlet + 273.15 + 0.03 * noise[1],
+        "T": np.array(course) + 273.15 + 0.06 * noise[2],
+    }
+    of = casid.Record(signals, {"G": "W/m^2", "T_in": "K", "T": "K"}, Ts=Ts)
+    return started(of, m)
+
+
+@pytest.mark.slow
+def test_an_inlet_that_comes_late_is_no_slow_disturbance() -> None:
+    """d(t) = w (T_in(t - L) - T_in(t)): a slow swing of its own, and of a single number.
+
+    To first order in L a disturbance explains it as well; refitted, L pays for itself.
+    """
+    search, start, base = heated(1, late=100.0)
+    assert disturbance_alone(search, start, base) is None
+
+
+@pytest.mark.slow
+def test_a_slow_disturbance_beside_a_slow_inlet_leaves_nothing_to_seek() -> None:
+    search, start, base = heated(1, wander=15.0)
+    alone = disturbance_alone(search, start, base)
+    assert alone is not None
+    assert list(alone.noise.spectra) == ["heat"]
+
+
 @pytest.mark.slow
 def test_no_candidate_is_refitted_in_a_sea() -> None:
     said: list[str] = []
