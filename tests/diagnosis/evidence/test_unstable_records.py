@@ -228,7 +228,7 @@ def test_windows_begin_where_a_fit_in_segments_ends_and_are_as_long_as_the_model
     assert "at the values of a fit in segments" in note
 
 
-@pytest.mark.parametrize("window", [100, 700])
+@pytest.mark.parametrize("window", [pytest.param(100, marks=pytest.mark.slow), 700])
 def test_windows_are_halved_only_while_the_record_holds_no_simulation_over_them(
     window, monkeypatch
 ):
