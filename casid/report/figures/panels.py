@@ -93,6 +93,7 @@ class Panels:
         self.legend: set[tuple[int, str]] = set()
         self.owners: list[int] = []
         self.menu: list[tuple[RecordView, list[dict[str, Any]], dict[str, Any]]] = []
+        self.axes: list[tuple[str, dict[str, Any]]] = []  # "x", "y" or one of them; its look
 
     def _at(self, k: int) -> dict[str, int]:
         return {"row": k // self.columns + 1, "col": k % self.columns + 1}
@@ -163,40 +164,62 @@ class Panels:
         if y is not None:
             self.figure.add_hline(y=y, **line, **self._at(k))
 
+    def _axis(self, axis: str, k: int, **look: Any) -> None:
+        """How an axis of panel k will look."""
+        panel = self.figure.get_subplot(**self._at(k))
+        self.axes.append((getattr(panel, f"{axis}axis").plotly_name, look))
+
+    def _styled(self, **look: Any) -> Any:
+        """The layout with these looks and its axes', changed apart from the figure.
+
+        A figure tells each of its parts of every change, which takes longer than all else.
+        """
+        import plotly.graph_objects as go
+
+        stated = self.figure.layout.to_plotly_json()
+        names = [n for n in stated if n.startswith(("xaxis", "yaxis"))]
+        layout = go.Layout({n: v for n, v in stated.items() if n != "template"})
+        for whose, axis in self.axes:
+            for name in names:
+                if whose in (name, name[0]):
+                    layout[name].update(axis)
+        return layout.update(look)
+
     def label(self, k: int, *, x: str | None = None, y: str | None = None) -> None:
         """Name the axes of panel k."""
         if x is not None:
             self.has_x_label = True
-            self.figure.update_xaxes(title_text=x, **self._at(k))
+            self._axis("x", k, title_text=x)
         if y is not None:
-            self.figure.update_yaxes(title_text=y, **self._at(k))
+            self._axis("y", k, title_text=y)
 
     def x_range(self, k: int, span: list[float]) -> None:
         """Fix the horizontal range of panel k."""
-        self.figure.update_xaxes(range=span, **self._at(k))
+        self._axis("x", k, range=span)
 
     def y_range(self, k: int, span: list[float]) -> None:
         """Fix the vertical range of panel k."""
-        self.figure.update_yaxes(range=span, **self._at(k))
+        self._axis("y", k, range=span)
 
     def time_range(self, view: RecordView) -> None:
         """Show the record from end to end in every panel."""
         span = time_range(view)["xaxis.range"]
         if span is not None:
-            self.figure.update_xaxes(range=span)
+            self.axes.append(("x", {"range": span}))
 
     def log(self) -> None:
         """Make all axes logarithmic; digits between the decades only where decades are few."""
-        for axis, update in (("x", self.figure.update_xaxes), ("y", self.figure.update_yaxes)):
+        for axis in "xy":
             values = np.concatenate([[], *(np.asarray(t[axis], float) for t in self.figure.data)])
             values = values[np.isfinite(values) & (values > 0)]
             few = not values.size or values.max() < 80 * values.min()
-            update(
-                type="log",
-                exponentformat="power",
-                dtick="D2" if few else 1,
-                minor={"dtick": "D1", "showgrid": True, "gridcolor": "#f3f3f3"},
-            )
+            look = {
+                "type": "log",
+                "exponentformat": "power",
+                "dtick": "D2" if few else 1,
+                "minor": {"dtick": "D1", "showgrid": True, "gridcolor": "#f3f3f3"},
+            }
+            self.axes.append((axis, look))
         self.is_log = True
 
     def parts(self, view: RecordView, layout: dict[str, Any], *, shaded: bool = True) -> None:
@@ -210,14 +233,10 @@ class Panels:
         top = 18 * len(title) + 62
         bottom = (54 if self.has_x_label or several else 34) + several * _MENU_HEIGHT
         names = [visible_text(view.name) for view, *_ in self.menu]
-        self.figure.update_xaxes(
-            title_standoff=6,
-            tickangle=0,
-            **({"nticks": self.ticks} if not self.is_log else {}),
-            **_AXIS,
-        )
-        self.figure.update_yaxes(title_standoff=8, **_AXIS)
-        self.figure.update_layout(
+        few = {"nticks": self.ticks} if not self.is_log else {}
+        self.axes.append(("x", {"title_standoff": 6, "tickangle": 0, **few, **_AXIS}))
+        self.axes.append(("y", {"title_standoff": 8, **_AXIS}))
+        self.figure.layout = self._styled(
             template="none",
             font={"family": FONT, "size": 13, "color": "#222222"},
             autosize=True,
@@ -248,11 +267,9 @@ class Panels:
                 "bottom": bottom,
                 **({"names": names, "menu": _MENU_HEIGHT} if several else {}),
             },
+            **({"shapes": self.menu[0][1]} if self.menu else {}),
+            **({"updatemenus": [{**_MENU, "buttons": self._buttons()}]} if several else {}),
         )
-        if self.menu:
-            self.figure.update_layout(shapes=self.menu[0][1])
-        if several:
-            self.figure.update_layout(updatemenus=[{**_MENU, "buttons": self._buttons()}])
         return self.figure
 
     def _buttons(self) -> list[dict[str, Any]]:
