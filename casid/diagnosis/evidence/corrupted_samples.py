@@ -67,6 +67,12 @@ class _Simulated:
         ]
 
     @property
+    def simulated_used(self) -> list[Array]:
+        """What was simulated at those samples, in the same units."""
+        parts = zip(self.simulated, self.sizes, self.used, strict=True)
+        return [(s / size)[u] for s, size, u in parts]
+
+    @property
     def inputs_used(self) -> list[Array]:
         """The inputs at those samples."""
         return [d[u] for d, u in zip(self.inputs, self.used, strict=True)]
@@ -147,7 +153,12 @@ def _spikes(
     count = 0
     while True:
         found = find_spikes(
-            channel, at.residuals, alpha, inputs=at.inputs_used, anew=at.restarts_among_used
+            channel,
+            at.residuals,
+            alpha,
+            inputs=at.inputs_used,
+            anew=at.restarts_among_used,
+            simulated=at.simulated_used,
         )
         if found is None:
             return None, split, count

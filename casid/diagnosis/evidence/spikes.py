@@ -56,6 +56,7 @@ def find_spikes(
     *,
     inputs: Sequence[Array] = (),
     anew: Sequence[Array] = (),
+    simulated: Sequence[Array] = (),
     largest_share: float = OUTLIERS.largest_share,
 ) -> Spikes | None:
     """Samples that differ from both neighbours more than noise ever would.
@@ -69,6 +70,8 @@ def find_spikes(
     `inputs` (N, nu) of each record, where given: spikes that follow their steps are left alone.
     `anew`, where given: the samples of each record at which its simulation starts anew; what jumps
     there is no spike.
+    `simulated` (N,) of each record, where given: what stands out in the simulation and not in the
+    record, as a vibration of a poor fit that dies away in its first samples, is no error of it.
     Returns None where there are none, or so many that they are not exceptions.
     """
     total = sum(len(r) for r in residuals)
@@ -105,6 +108,8 @@ def find_spikes(
         masks.append(mask)
     for mask, response in zip(masks, _responses(masks, inputs, alpha), strict=False):
         mask &= ~response
+    for mask, d, y in zip(masks, differences, simulated, strict=False):
+        mask &= ~_is_of_model(d, _from_neighbours(y), threshold)
     heights = [np.abs(d[mask]) for d, mask in zip(differences, masks, strict=True)]
     count = int(sum(m.sum() for m in masks))
     if count == 0 or count > largest_share * total:
@@ -142,6 +147,12 @@ def starts_apart(residual: Array, alpha: float) -> bool:
     # Differences of two samples have 2 variances, those from two neighbours 1.5.
     limit = float(norm.isf(alpha / (2 * len(residual)))) * sd * np.sqrt(2 / 1.5)
     return bool(first > limit and second < OUTLIERS.neighbours[1] * first)
+
+
+def _is_of_model(d: Array, of_model: Array, threshold: float) -> Array:
+    """Samples (N,) that stand out of a simulation, and less than half as much of its record."""
+    stands_out = np.abs(of_model) > threshold * _scale(of_model)
+    return np.asarray(stands_out & (np.abs(d + of_model) < 0.5 * np.abs(d)))
 
 
 def _responses(masks: Sequence[Array], inputs: Sequence[Array], alpha: float) -> list[Array]:

@@ -145,6 +145,23 @@ def test_a_motion_that_begins_with_the_record_is_no_outlier_in_its_second_sample
     assert find_spikes("y", [r + begins[::-1]], ALPHA) is None
 
 
+def test_what_stands_out_of_the_simulation_alone_is_no_outlier_of_the_record():
+    """A stiff joint of a poor fit rings for two samples; the record shows nothing there.
+
+    What a sensor adds stands out of the record, whatever the simulation does beside it.
+    """
+    rng = np.random.default_rng(1)
+    rest = np.sin(0.01 * np.arange(2000)) + 0.001 * rng.standard_normal(2000)
+    rings, spoilt_there = np.sin(0.01 * np.arange(2000)), rest.copy()
+    rings[2] += 0.1
+    spoilt_there[[2, 700]] += 0.25
+    assert find_spikes("y", [rest - rings], ALPHA) is not None
+    assert find_spikes("y", [rest - rings], ALPHA, simulated=[rings]) is None
+    spikes = find_spikes("y", [spoilt_there - rings], ALPHA, simulated=[rings])
+    assert spikes is not None
+    assert np.flatnonzero(spikes.masks[0]) == pytest.approx([2, 700])
+
+
 @pytest.mark.parametrize("k", [1, 1998])
 def test_an_outlier_beside_an_end_of_the_record_is_found(k):
     r = np.random.default_rng(1).standard_normal(2000)
