@@ -276,7 +276,9 @@ def test_more_jobs_than_cores_can_work_are_announced(folder: Path, capfd: Any) -
     assert f"--jobs 100000: {used} processes work, 4 for every core" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("full", ["report.html", "result.casid"])
+@pytest.mark.parametrize(
+    "full", ["report.html", pytest.param("result.casid", marks=pytest.mark.slow)]
+)
 def test_a_full_disk_leaves_the_results_of_one_run(
     folder: Path, monkeypatch: pytest.MonkeyPatch, full: str
 ) -> None:

@@ -145,7 +145,7 @@ def test_a_sea_is_taken_for_what_determines_the_roll() -> None:
     assert np.mean(found**2) < 0.5 * np.mean(simulated**2)
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_model_is_likelier_than_where_the_simulation_errs_least(seed: int) -> None:
     problem, weighing, fit, at = weighed(seed, 3e-3)
     found = weighing.weigh(problem.model, fit)

@@ -8,11 +8,11 @@ from tests.support import samples
 from tests.support.samples import page_of
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def rich() -> str:
     return page_of(samples.rich())
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def hostile() -> str:
     return page_of(samples.hostile())

@@ -37,7 +37,13 @@ def test_noise_alone_is_noise_at_the_stated_rate():
 
 
 @pytest.mark.parametrize(
-    "kind", ["cubic spring", "quadratic damping", "dry friction", "damping by place"]
+    "kind",
+    [
+        "cubic spring",
+        "quadratic damping",
+        pytest.param("dry friction", marks=pytest.mark.slow),
+        "damping by place",
+    ],
 )
 def test_a_force_of_the_states_is_deterministic(kind: str) -> None:
     for seed in (1, 2):
