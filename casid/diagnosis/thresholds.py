@@ -69,6 +69,31 @@ _PLATEAUS = f"{TESTS}/evidence/test_plateaus.py"
 
 
 @dataclass(frozen=True, slots=True)
+class Bounds:
+    """When a bound holds a parameter by more than chance."""
+
+    beyond: float = _is(
+        3.0,
+        "standard errors beyond a bound, that an estimate would be without it: from there on the "
+        "bound holds it by more than chance",
+        f"{TESTS}/evidence/test_holding_bounds.py",
+        "one-sided, 0.13 %: beside a few parameters of which each may be at its bound",
+    )
+    beside: float = _is(
+        0.01,
+        "standard errors from a bound, all else fixed, within which a search ended at it",
+        f"{TESTS}/evidence/test_holding_bounds.py",
+    )
+    rounding: float = _is(
+        1e-10,
+        "of the curvature of a parameter, left where all others move with it, below which the "
+        "records do not determine it",
+        f"{TESTS}/evidence/test_holding_bounds.py",
+        "rounding of the Hessian",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Clipping:
     """When equal samples at the end of a channel's range are a limit."""
 
@@ -1280,6 +1305,7 @@ class Budget:
 
 
 SUFFICIENCY = Sufficiency()
+BOUNDS = Bounds()
 CLIPPING = Clipping()
 OUTLIERS = Outliers()
 STEPS_IN_GAPS = StepsInGaps()
@@ -1314,6 +1340,7 @@ BUDGET = Budget()
 
 GROUPS = (
     SUFFICIENCY,
+    BOUNDS,
     CLIPPING,
     OUTLIERS,
     STEPS_IN_GAPS,

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from casid.arrays import TINY
+from casid.diagnosis.evidence.holding_bounds import held_beyond_chance
 from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.simulation.minimization import Fit
@@ -25,7 +26,7 @@ def under_likelier_disturbance(search: Search, start: Weighted, fit: Fit) -> Wei
     if not start.noise_absorbs_misfit:
         return None
     bare = search.under_disturbance(fit)
-    if is_held(bare.unbiased or bare.fit):
+    if held_beyond_chance(bare.unbiased or bare.fit):
         return None
     return bare if minus_log_likelihood(bare) <= as_white(fit) else None
 
@@ -42,11 +43,6 @@ def as_white(fit: Fit) -> float:
     seen = samples > 0
     means = np.maximum(squares[seen] / samples[seen], TINY)
     return float(0.5 * np.sum(samples[seen] * (1 + np.log(means))))
-
-
-def is_held(fit: Fit) -> bool:
-    """True if a bound holds one of the parameters: that leaves misfit of its own."""
-    return bool(fit.solution.at_lower or fit.solution.at_upper)
 
 
 def price_of(cost: int, samples: int, tested: int) -> float:

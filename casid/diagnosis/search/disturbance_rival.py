@@ -33,6 +33,7 @@ from functools import partial
 from scipy.stats import chi2
 
 from casid.diagnosis.evidence.baseline import Baseline
+from casid.diagnosis.evidence.holding_bounds import held_beyond_chance
 from casid.diagnosis.evidence.prewhitening import (
     Weighing,
     Weighted,
@@ -41,7 +42,7 @@ from casid.diagnosis.evidence.prewhitening import (
 from casid.diagnosis.search.alternatives import is_imitator
 from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
 from casid.diagnosis.search.disturbance_alone import disturbance_alone
-from casid.diagnosis.search.disturbance_price import as_white, is_held, price_of
+from casid.diagnosis.search.disturbance_price import as_white, price_of
 from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
@@ -101,8 +102,8 @@ def weighed_against_disturbances(
     before : a search beside the disturbances of the model as it is, if there was one.
     """
     base, start = baseline.fit, baseline.start
-    held = is_held(base)
-    if not start.noise_absorbs_misfit and (found.adopted or not held):
+    held = bool(base.solution.active)
+    if not start.noise_absorbs_misfit and (found.adopted or not held_beyond_chance(start.fit)):
         return search, start, found
     settings.progress("compare what was found with a random disturbance in its place")
     again = search.with_disturbances()
@@ -111,7 +112,7 @@ def weighed_against_disturbances(
     if minus_log_likelihood(bare) > as_white(base):
         return search, start, found
     start = replace(start, beside=bare)
-    if held and (bare.unbiased is None or is_held(bare.unbiased)):
+    if held and (bare.unbiased is None or held_beyond_chance(bare.unbiased)):
         return search, start, _significant(found, bare, search, start)
     if held and score_of(bare) >= score_of(start):
         return search, start, found

@@ -9,6 +9,7 @@ from functools import partial
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.disturbances import Disturbance
+from casid.diagnosis.evidence.holding_bounds import held_beyond_chance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
@@ -298,12 +299,18 @@ def _undecided(
     """Why the records support no answer, and the bounds that forbid one.
 
     What a disturbance moves is no error of the model, and holds no parameter at its bound: they are
-    those of the model `beside` it, where it has a spectrum of its own.
+    those of the model `beside` it, where it has a spectrum of its own. Nor does what noise moves.
     """
     bounds = bounds_met(problem, found.best_fit)
+    if not found.at.noise_absorbs_misfit:
+        beyond = held_beyond_chance(found.at.fit)
+        bounds = {n: said for n, said in bounds.items() if n in beyond}
     if beside is not None and beside.unbiased is not None:
         near = {n: said for n, said in bounds.items() if _is_near_bound(beside.unbiased, n)}
-        bounds = near | bounds_met(problem, beside.unbiased)
+        beyond = held_beyond_chance(beside.unbiased)
+        bounds = near | {
+            n: s for n, s in bounds_met(problem, beside.unbiased).items() if n in beyond
+        }
     why = _why_undecided(found.baseline, unlike, disturbances)
     if why:
         return why, {}
@@ -376,6 +383,10 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         switches = {a.candidate.names[0] for a in found.adopted if a.candidate.effect.is_switched}
         errors = partial(std_error, found.at.fit)
         notes += weak_parameters(found.at, errors, reported, without=switches)
+        met = bounds_met(problem, found.best_fit)
+        by_chance = [said for name, said in met.items() if name not in judged.doubts.bounds]
+        if by_chance:
+            notes += (f"the fit holds {' and '.join(by_chance)}, by no more than chance",)
         notes += unknown_sizes(judged.causes, reported)
     if negated is not None and negated.reference:
         notes.append(
