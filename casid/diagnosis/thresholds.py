@@ -207,6 +207,12 @@ class Outliers:
     usual_steps: float = _is(
         0.5, "quantile of the inputs' steps beyond which a spike is a response to one", _SPIKES
     )
+    in_record: float = _is(
+        0.5,
+        "of what stands out of the residual: where less of it stands out of the record itself, it "
+        "is the simulation that does",
+        _SPIKES,
+    )
     test_share: float = _is(
         1 / 50,
         "of the false-alarm rate, spent on each test of samples in each channel",

@@ -150,9 +150,9 @@ def starts_apart(residual: Array, alpha: float) -> bool:
 
 
 def _is_of_model(d: Array, of_model: Array, threshold: float) -> Array:
-    """Samples (N,) that stand out of a simulation, and less than half as much of its record."""
+    """Samples (N,) that stand out of a simulation, and less so of its record."""
     stands_out = np.abs(of_model) > threshold * _scale(of_model)
-    return np.asarray(stands_out & (np.abs(d + of_model) < 0.5 * np.abs(d)))
+    return np.asarray(stands_out & (np.abs(d + of_model) < OUTLIERS.in_record * np.abs(d)))
 
 
 def _responses(masks: Sequence[Array], inputs: Sequence[Array], alpha: float) -> list[Array]:
