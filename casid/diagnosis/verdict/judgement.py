@@ -353,8 +353,11 @@ def _why_undecided(start: Baseline, unlike: str, disturbances: Sequence[Disturba
 def _compared_with_functions(
     found: Findings, causes: list[Cause], remainder: Remainder | None
 ) -> tuple[list[Cause], Remainder | None]:
-    """The causes, if they explain the misfit no worse than functions outside the catalogue."""
-    if remainder is None or any(c.kind == "unknown" for c in causes):
+    """The causes, if they explain the misfit no worse than functions outside the catalogue.
+
+    A remainder without a name beside them says that they are not all, or not the right ones.
+    """
+    if remainder is None or any(a.candidate.effect.kind == "unknown" for a in found.adopted):
         return causes, remainder
     found.search.progress("compare the causes with functions outside the catalogue")
     start = found.baseline.start
@@ -364,8 +367,9 @@ def _compared_with_functions(
     best = rivals[0]
     if not best.is_better:
         return with_the_unnamed_alternative(causes, best), remainder
+    named = [c for c in causes if c.kind != "unknown"]
     whole = described(start, found.search, remainder.level, remainder.p_value)
-    return with_the_unnamed_alternative(causes, best, whole), whole
+    return with_the_unnamed_alternative(named, best, whole), whole
 
 
 def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str, ...]:
