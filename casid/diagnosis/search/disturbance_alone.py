@@ -3,9 +3,10 @@
 A search beside a sea finds many effects that imitate it, refits them, and refuses them all against
 the disturbance in their place. Three looks foretell that: the residual under the disturbance is
 random, and none of the effects that score best, beside it or under the sensors' noise, lets the
-disturbance explain so much less that its likelihood would pay for it. Where an effect scores beside
-it all the same, or the model errs by many times the sensors' noise, so that tangents say little,
-the effects that score best are refitted beside it.
+disturbance explain so much less that its likelihood would pay for it. An effect that by its score
+explains most of the misfit is refitted beside the disturbance; where one scores beside it all the
+same, or the model errs by many times the sensors' noise, so that tangents say little, all that
+score best are.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from casid.estimation.simulation.minimization import Fit
 def under_likelier_disturbance(search: Search, start: Weighted, fit: Fit) -> Weighted | None:
     """A model under the disturbances that its residual shows, where these may explain its misfit.
 
-    None where the sensors' noise holds no misfit, where a bound holds a parameter under them, too,
-    which leaves misfit of its own, or where white noise is likelier.
+    None where the sensors' noise holds no misfit, where a bound holds a parameter beyond chance
+    under them, too, which leaves misfit of its own, or where white noise is likelier.
 
     Parameters
     ----------
