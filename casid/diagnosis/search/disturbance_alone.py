@@ -23,7 +23,7 @@ from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance_price import price_of, under_likelier_disturbance
 from casid.diagnosis.search.jump_times import placed_by_tangents
 from casid.diagnosis.search.residual_check import is_more_than_noise
-from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.rounds import Search, strongest_of_each
 from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.noise import NoiseModel, error_over_noise
@@ -61,15 +61,20 @@ def disturbance_alone(
         if gains.one_pays(effects, cost, len(alone.tested), start.noise):
             return None
     is_far = error_over_noise(base, start.noise) > RESTARTS.far and not adopted
-    n, tested = bare.criterion.n_samples, len(table.tested)
-    refitted = beside.refits_of(bare, _explaining(start, alone))
-    if is_far or beside.has_alarm(bare, table):
-        refitted += beside.round(bare, table, adopted)
-    if any(c.gain > price_of(c.effect.cost, n, tested) for c in refitted):
+    if _refit_pays(bare, table, beside.refits_of(bare, _explaining(start, alone))):
         return None
+    if is_far or beside.has_alarm(bare, table):
+        if _refit_pays(bare, table, beside.round(bare, table, adopted)):
+            return None
     if search.first_table is None:
         search.first_table = table
     return bare
+
+
+def _refit_pays(bare: Weighted, table: ScoreTable, refitted: Sequence[Candidate]) -> bool:
+    """True if an effect pays for itself by what its refit beside the disturbance gains."""
+    n, tested = bare.criterion.n_samples, len(table.tested)
+    return any(c.gain > price_of(c.effect.cost, n, tested) for c in refitted)
 
 
 def pays_beside(search: Search, at: Weighted, table: ScoreTable) -> bool:
@@ -153,9 +158,7 @@ def _explaining(at: Weighted, table: ScoreTable) -> list[Score]:
     excess = 2 * at.fit.solution.value - at.criterion.n_samples
     lasting = (s for s in table.tested if not s.effect.is_on_the_clock)
     most = [s for s in lasting if s.unrobust > DISTURBED.explains * excess]
-    most.sort(key=lambda s: -s.unrobust)
-    kinds = {s.effect.key: s for s in reversed(most)}
-    return list(kinds.values())[::-1][: DISTURBED.looked_at]
+    return list(strongest_of_each(most).values())[: DISTURBED.looked_at]
 
 
 def _steps(at: Weighted, table: ScoreTable) -> list[Effect]:

@@ -309,9 +309,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         scored = [s.unrobust for s in visible if s.effect.test != "peak"]
         least = COMPARISON.relative_gain * max(scored, default=0.0) - COMPARISON.by_chance
         visible = [s for s in visible if s.unrobust > least]
-    strongest: dict[tuple[str, str], Score] = {}
-    for s in sorted(visible, key=lambda s: -s.unrobust):
-        strongest.setdefault(s.effect.key, s)  # the variant that represents its kind
+    strongest = strongest_of_each(visible)
     chosen: dict[tuple[str, str], Score] = {}
     for order in (
         sorted(visible, key=lambda s: (s.p_value, -s.unrobust)),
@@ -327,6 +325,14 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         for key in (*lasting[:most], *changes, *unnamed[: SHORTLIST.unnamed]):
             chosen.setdefault(key, strongest[key])
     return [*chosen.values(), *_other_falls(visible, chosen)] if is_far else list(chosen.values())
+
+
+def strongest_of_each(scores: Sequence[Score]) -> dict[tuple[str, str], Score]:
+    """Of every kind and place the variant that scores highest, the strongest first."""
+    found: dict[tuple[str, str], Score] = {}
+    for s in sorted(scores, key=lambda s: -s.unrobust):
+        found.setdefault(s.effect.key, s)
+    return found
 
 
 def _other_falls(

@@ -301,16 +301,11 @@ def _undecided(
     What a disturbance moves is no error of the model, and holds no parameter at its bound: they are
     those of the model `beside` it, where it has a spectrum of its own. Nor does what noise moves.
     """
-    bounds = bounds_met(problem, found.best_fit)
-    if not found.at.noise_absorbs_misfit:
-        beyond = held_beyond_chance(found.at.fit)
-        bounds = {n: said for n, said in bounds.items() if n in beyond}
+    absorbs = found.at.noise_absorbs_misfit
+    bounds = _bounds_beyond_chance(problem, found.best_fit, None if absorbs else found.at.fit)
     if beside is not None and beside.unbiased is not None:
         near = {n: said for n, said in bounds.items() if _is_near_bound(beside.unbiased, n)}
-        beyond = held_beyond_chance(beside.unbiased)
-        bounds = near | {
-            n: s for n, s in bounds_met(problem, beside.unbiased).items() if n in beyond
-        }
+        bounds = near | _bounds_beyond_chance(problem, beside.unbiased, beside.unbiased)
     why = _why_undecided(found.baseline, unlike, disturbances)
     if why:
         return why, {}
@@ -320,6 +315,16 @@ def _undecided(
         is_random = bool(still and disturbances)
         return f"a disturbance explains what was measured{still}" if is_random else "", bounds
     return f"the fit holds {' and '.join(bounds.values())}{still}", bounds
+
+
+def _bounds_beyond_chance(problem: Problem, fit: Fit, under: Fit | None) -> dict[str, str]:
+    """The bounds that a fit met, of those which hold the same fit `under` noise beyond chance.
+
+    All, where that noise is None: misfit that passes for noise is no measure of chance.
+    """
+    met = bounds_met(problem, fit)
+    beyond = met if under is None else held_beyond_chance(under)
+    return {name: said for name, said in met.items() if name in beyond}
 
 
 def _is_near_bound(fit: Fit, name: str) -> bool:
@@ -389,7 +394,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         notes += weak_parameters(found.at, errors, reported, without=switches)
         met = bounds_met(problem, found.best_fit)
         by_chance = [said for name, said in met.items() if name not in judged.doubts.bounds]
-        if by_chance:
+        if by_chance and not judged.why_undecided:
             notes += (f"the fit holds {' and '.join(by_chance)}, by no more than chance",)
         notes += unknown_sizes(judged.causes, reported)
     if negated is not None and negated.reference:
