@@ -134,7 +134,7 @@ def test_a_force_is_drawn_with_its_spectrum(spectrum):
     assert np.mean(power) == pytest.approx(1.0, abs=5 * np.sqrt(2.0 / (40 * 10)))
 
 
-@pytest.mark.parametrize("missing", [0.02, 0.3])
+@pytest.mark.parametrize("missing", [pytest.param(0.02, marks=pytest.mark.slow), 0.3])
 def test_missing_samples_lend_no_part_of_a_slow_force_to_a_quiet_sensor(missing: float):
     """Through gaps it leaks over all frequencies, some hundred times the sensor's variance."""
     rng = np.random.default_rng(1)

@@ -208,7 +208,9 @@ def fitted(seed: int, kind: str):
     return minimize_simulation_error(criterion)
 
 
-@pytest.mark.parametrize("kind", ["a fifth at random", "every fifth sample"])
+@pytest.mark.parametrize(
+    "kind", ["a fifth at random", pytest.param("every fifth sample", marks=pytest.mark.slow)]
+)
 def test_the_noise_is_that_of_the_samples_that_there_are(kind: str) -> None:
     """No variance is smaller for what is missing: the periodogram's mean is known for any gaps."""
     found = []

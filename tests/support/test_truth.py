@@ -122,6 +122,7 @@ def test_the_strength_asked_for_is_the_strength_found(kind: str, strength: float
     assert record.second is None
 
 
+@pytest.mark.slow
 def test_strength_is_the_misfit_of_an_ordinary_five_parameter_refit():
     """The same number from a different program: lsim at 100 Hz, gain and initial state free too.
 

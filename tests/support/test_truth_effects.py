@@ -38,6 +38,7 @@ def test_a_gain_an_input_bias_and_a_torque_offset_leave_nothing(
     assert cart_pendulum(kind, size=0.1, seed=5, duration=20.0, where=where).strength < 1e-3
 
 
+@pytest.mark.slow
 def test_a_part_that_swings_along_follows_its_own_equation() -> None:
     """q'' = -2 zeta w q' - w^2 q - phi'', and J (w^2 q + 2 zeta w q') is what is left over."""
     record = cart_pendulum("missing_mode", size=0.005, seed=4, duration=60.0)

@@ -86,7 +86,7 @@ def beside_a_disturbance(seed: int) -> Weighted:
     [
         (1, {}),
         pytest.param(2, {}, marks=pytest.mark.slow),
-        (1, {"e(0)": -20.0, "v(0)": 300.0}),
+        pytest.param(1, {"e(0)": -20.0, "v(0)": 300.0}, marks=pytest.mark.slow),
     ],
 )
 def test_a_model_that_went_astray_is_begun_again_where_it_is_declared_to_start(seed, states):

@@ -42,7 +42,7 @@ def test_noise_alone_is_noise_at_the_stated_rate():
         "cubic spring",
         "quadratic damping",
         pytest.param("dry friction", marks=pytest.mark.slow),
-        "damping by place",
+        pytest.param("damping by place", marks=pytest.mark.slow),
     ],
 )
 def test_a_force_of_the_states_is_deterministic(kind: str) -> None:

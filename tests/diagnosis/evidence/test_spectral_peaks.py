@@ -27,7 +27,9 @@ def coloured(rng: np.random.Generator, N: int, pole: float) -> np.ndarray:
     return lfilter([1.0], [1.0, -pole], rng.standard_normal(N + 200))[200:, None]
 
 
-@pytest.mark.parametrize(("pole", "seed"), [(0.0, 1), (0.5, 2), (0.8, 3)])
+@pytest.mark.parametrize(
+    ("pole", "seed"), [(0.0, 1), pytest.param(0.5, 2, marks=pytest.mark.slow), (0.8, 3)]
+)
 def test_false_alarms_are_as_frequent_as_their_p_value_says(pole: float, seed: int):
     """White noise and first-order colour: counts inside 99.9 % of a binomial, either side.
 

@@ -80,7 +80,7 @@ def test_the_input_is_filled_as_it_was() -> None:
     assert (again, moved) == (filled, 0)
 
 
-@pytest.mark.parametrize("lost", [(2,), PLACES])
+@pytest.mark.parametrize("lost", [pytest.param((2,), marks=pytest.mark.slow), PLACES])
 def test_a_step_in_lost_rows_makes_no_outlier_behind_them(lost: tuple[int, ...]) -> None:
     """Nor a disturbance, a knock or a jump of a parameter."""
     record, _ = recorded(lost)

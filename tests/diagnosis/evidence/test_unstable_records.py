@@ -122,7 +122,9 @@ def test_what_hangs_as_its_record_begins_and_stands_later_is_unstable():
     assert window_for(c) > 0
 
 
-@pytest.mark.parametrize(("drag", "N"), [(0.0, 200), (0.02, 300)])
+@pytest.mark.parametrize(
+    ("drag", "N"), [(0.0, 200), pytest.param(0.02, 300, marks=pytest.mark.slow)]
+)
 def test_an_unstable_model_that_bends_to_the_fitted_part_is_simulated_in_windows(drag, N):
     """A drag of 0.02 |w| w is bent to within a fifth of the motion, and departs by tens behind it.
 

@@ -134,6 +134,7 @@ def test_what_is_over_again_gains_beside_a_disturbance_at_its_exact_instants() -
     assert_exact_instants_gain(bare, start, rough=rough, exact=exact)
 
 
+@pytest.mark.slow
 def test_a_load_that_sets_in_gains_beside_a_disturbance_at_its_exact_instant() -> None:
     """A slow force follows it, but for the moment at which it leaps; of steps 2.7 s apart, all.
 

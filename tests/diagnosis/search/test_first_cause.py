@@ -68,6 +68,7 @@ def test_what_leaves_no_disturbance_is_the_first_cause_and_nothing_else_is_refit
     assert set(refits(said)) == {"dead zone in fin"}
 
 
+@pytest.mark.slow
 def test_where_waves_are_all_that_it_leaves_nothing_is_sought_under_the_noise_of_the_sensors():
     found, said = diagnosed(record(waves=0.03, gap=0.0, fade=0.8))
     assert [(c.kind, c.where) for c in found.causes] == [("parameter_jump", "K")]

@@ -98,6 +98,7 @@ def test_a_model_is_as_likely_as_from_where_an_extension_of_it_ended() -> None:
     assert minus_log_likelihood(kept) <= minus_log_likelihood(best)
 
 
+@pytest.mark.slow
 def test_the_likelihood_there_is_the_same_in_whatever_units_the_extension_was_fitted() -> None:
     """An extended model is fitted in units of the errors that it leaves, here a fifth of others."""
     weighing, fit, bare = sea()

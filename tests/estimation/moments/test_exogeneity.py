@@ -44,7 +44,7 @@ def binomial(level, runs):
 
 
 @pytest.mark.parametrize("kind", ["autoregression", "steps"])
-@pytest.mark.parametrize("level", [0.05, 0.3])
+@pytest.mark.parametrize("level", [0.05, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_an_external_reference_is_accused_as_often_as_the_level_says(kind, level):
     """The p-value is uniform under the null, although the outputs follow the reference.
 
