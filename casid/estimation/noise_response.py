@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from scipy.fft import rfft
 
-from casid.arrays import TINY, Array
+from casid.arrays import Array
 from casid.estimation.filled_noise import filled_spectrum
 from casid.estimation.simulation.band_limited import responses_between
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
@@ -128,7 +128,9 @@ def _with_spectra(found: Response, cross: Array) -> Response:
     """The response with these spectra in the place of products of its gains."""
     assert found.gain is not None
     gain2 = np.einsum("fiij->fij", cross).real
-    gain = found.gain * np.sqrt(gain2 / np.maximum(found.gain2, TINY))
+    size = np.abs(found.gain)
+    phase = np.divide(found.gain, size, out=np.ones_like(found.gain), where=size > 0.0)
+    gain = phase * np.sqrt(gain2)
     return replace(found, gain2=gain2, gain=gain, cross=cross)
 
 
