@@ -219,6 +219,20 @@ class Refinement:
             fit = other
         return found if fit is found.fit else self.refined(found, adopted, fit)
 
+    def in_time_beside(self, found: Adoption) -> Adoption:
+        """The same of what was found beside a disturbance, where that is likelier.
+
+        A disturbance takes up what a change leaves that was placed too early or too late.
+        """
+        if found.fit is None or not any(a.candidate.effect.sets_in for a in found.adopted):
+            return found
+        placed, fit = self.with_causes([a.candidate for a in found.adopted], found.fit)
+        adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
+        plain = replace(found, adopted=tuple(adopted), fit=fit)
+        moved = self.in_time(plain)
+        is_likelier = minus_log_likelihood(moved.at) < minus_log_likelihood(found.at)
+        return moved if moved is not plain and is_likelier else found
+
     def main(self, found: Adoption) -> Adoption:
         """Without what explains too little and carries no parameter, the smallest first.
 

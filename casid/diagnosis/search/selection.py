@@ -52,6 +52,7 @@ from casid.model.effects.effect import HYSTERESIS_SHAPE
 SHARPNESS = "the sharpness of dry friction"
 BLUNT = "the test of causes that a blunt reversal of dry friction brings about"
 POWERS = "the powers by which parameters change with states"
+INSTANTS = "the instants of changes in the whole records"
 LEAVES_MORE = "it seems to imitate a better law, and leaves more than noise"
 LATE = ("time_delay", "sensor_lag", "actuator_lag")
 """Kinds by which an input acts, or a sensor shows, later than in the model."""
@@ -90,7 +91,8 @@ def adopt_causes(
     found, attempt = state.found, search.attempts.attempt
     superfluous = "the test whether later causes make earlier ones superfluous"
     if under is not None:
-        return attempt(superfluous, partial(refine.significant, found)) or found
+        found = attempt(superfluous, partial(refine.significant, found)) or found
+        return attempt(INSTANTS, partial(refine.in_time_beside, found)) or found
     # A cause matters by what it explains in units of the error that all causes leave.
     what = "the fit of the extended model in units of its errors"
     fit = attempt(what, partial(weighted_by_errors, state.fit, once)) or state.fit
@@ -102,7 +104,7 @@ def adopt_causes(
         (POWERS, partial(with_better_powers, refine)),
         (SHARPNESS, partial(with_sharp_friction, refine)),
         (BLUNT, partial(without_blunt_reversals, refine)),
-        ("the instants of changes in the whole records", refine.in_time),
+        (INSTANTS, refine.in_time),
         ("the test whether every cause matters", refine.main),
     ):
         found = attempt(what, partial(step, found)) or found

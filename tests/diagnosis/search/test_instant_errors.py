@@ -12,13 +12,18 @@ from scipy.stats import binom
 import casid
 from casid.arrays import Array
 from casid.diagnosis.attempts import Attempts
+from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.instant_errors import moved_in_time, with_instant_errors
+from casid.diagnosis.search.refinement import Adoption, Refinement
+from casid.diagnosis.search.rounds import Search
+from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.parameter_effects import parameter_jump
 from tests.diagnosis.search.test_temporary_changes import BEGIN, END, NOISE, TS, N, leak, record
 
+ONCE = FitSettings(starts=1)
 HALF = 0.5 * TS  # a held step sets in that much before the first sample of which it is all
 
 
@@ -101,6 +106,23 @@ def test_instants_move_to_where_the_records_have_them():
         strict=True,
     ):
         assert now == pytest.approx(true, abs=4 * error + 0.05)
+
+
+def test_a_disturbance_keeps_no_instant_away_from_where_the_records_have_it():
+    """Placed four samples late, a leak seems to leave a disturbance; at its instants, none."""
+    away = 0.4
+    model, split = leak().model, split_records([casid.Experiment(record(leaks=0.3))], 0.0)
+    base = fit_model(model, split.fitted, ONCE)
+    weighing = Weighing(split.fitted).with_disturbances()
+    at, units = weighing.weigh(model, base), base.criterion.weights
+    refine = Refinement(Search(weighing, {}), split, ONCE, units, at, base)
+    cause, fit = fitted(BEGIN - HALF + away, END - HALF + away)
+    beside = weighing.weigh(fit.criterion.model, fit)
+    assert beside.noise.source_sd["volume"] > 0.01  # m/s
+    found = Adoption((cause,), beside, beside.fit)
+    moved = refine.in_time_beside(found)
+    assert moved.at.noise.source_sd["volume"] == pytest.approx(0.0, abs=1e-4)
+    assert instants(moved.adopted[0]) == pytest.approx((BEGIN - HALF, END - HALF), abs=0.05)
 
 
 @pytest.mark.parametrize("placed", [30.0, 33.0, 38.0])
