@@ -220,7 +220,7 @@ class Refinement:
         return found if fit is found.fit else self.refined(found, adopted, fit)
 
     def in_time_beside(self, found: Adoption) -> Adoption:
-        """The same of what was found beside a disturbance, where that is likelier.
+        """The same of what was found beside a disturbance, where that is likelier; else as it was.
 
         A disturbance takes up what a change leaves that was placed too early or too late.
         """
@@ -228,10 +228,8 @@ class Refinement:
             return found
         placed, fit = self.with_causes([a.candidate for a in found.adopted], found.fit)
         adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
-        plain = replace(found, adopted=tuple(adopted), fit=fit)
-        moved = self.in_time(plain)
-        is_likelier = minus_log_likelihood(moved.at) < minus_log_likelihood(found.at)
-        return moved if moved is not plain and is_likelier else found
+        moved = self.in_time(replace(found, adopted=tuple(adopted), fit=fit))
+        return min(found, moved, key=lambda each: minus_log_likelihood(each.at))
 
     def main(self, found: Adoption) -> Adoption:
         """Without what explains too little and carries no parameter, the smallest first.
