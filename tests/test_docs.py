@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import re
+import shutil
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -14,10 +15,11 @@ import pytest
 import casid
 from casid.errors import DataError
 from casid.gallery.case import Case
-from tests.support.shared import ROOT
+from tests.support.shared import ROOT, shared
 
 pytest.importorskip("sphinx")
-EXTENSION = ROOT / "docs" / "extension"
+DOCS = ROOT / "docs"
+EXTENSION = DOCS / "extension"
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +102,24 @@ def test_a_block_without_the_file_that_it_needs_is_shown_and_not_run(manual, tmp
         manual.executed(page, "p.md")
 
 
+MEASURED = sorted(
+    str(p.relative_to(DOCS))
+    for p in DOCS.rglob("*.md")
+    if re.search(r"^```\w+ needs ", p.read_text(encoding="utf-8"), re.MULTILINE)
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MEASURED)
+def test_pages_on_measurements_run(manual, name, tmp_path, monkeypatch):
+    """`.ci/run` builds the manual without the measurements."""
+    monkeypatch.setenv("CASID_SHARED", str(shared()))
+    shutil.copytree(ROOT / "problems", tmp_path / "problems")
+    monkeypatch.chdir(tmp_path)
+    out = manual.executed((DOCS / name).read_text(encoding="utf-8"), name)
+    assert "not run here" not in out
+
+
 @pytest.fixture(scope="module")
 def links():
     sys.path.insert(0, str(EXTENSION))
@@ -110,10 +130,10 @@ def links():
 
 
 def test_every_public_name_has_an_entry_in_the_reference_and_an_example_that_runs(links):
-    reference = "".join(p.read_text("utf-8") for p in (ROOT / "docs" / "reference").glob("*.md"))
+    reference = "".join(p.read_text("utf-8") for p in (DOCS / "reference").glob("*.md"))
     entries = re.findall(r"^\.\. auto\w+:: casid\.(\w+)$", reference, re.MULTILINE)
     assert sorted(entries) == sorted(casid.__all__)
-    pages = links.pages_by_name(ROOT / "docs")
+    pages = links.pages_by_name(DOCS)
     assert not [name for name in pages if not pages[name]]
 
 
@@ -137,19 +157,19 @@ NEEDS_MORE = {  # packages that the manual's own extra does not install
 
 
 def test_what_a_result_can_do_is_in_the_reference_and_in_an_example_that_runs(links):
-    unlisted, unused = links.members_without(ROOT / "docs", *RESULTS)
+    unlisted, unused = links.members_without(DOCS, *RESULTS)
     assert not unlisted
     assert set(unused) <= NEEDS_MORE
 
 
-GALLERY = sorted(p.stem for p in (ROOT / "docs" / "gallery").glob("*.md") if p.stem != "index")
+GALLERY = sorted(p.stem for p in (DOCS / "gallery").glob("*.md") if p.stem != "index")
 
 
 @pytest.mark.parametrize("name", GALLERY)
 def test_a_case_of_the_gallery_has_its_sections_asserts_its_numbers_and_is_a_script(
     manual, name, tmp_path
 ):
-    page = (ROOT / "docs" / "gallery" / f"{name}.md").read_text(encoding="utf-8")
+    page = (DOCS / "gallery" / f"{name}.md").read_text(encoding="utf-8")
     headings = re.findall(r"^## (.*)$", page, re.MULTILINE)
     assert headings[-1] == "What not to conclude"
     assert re.search(r"^ *assert ", page, re.MULTILINE)
@@ -174,8 +194,8 @@ def test_the_build_is_strict_and_its_pages_load_nothing(tmp_path, line, status, 
     """Exit status of Sphinx: 0, 1 where it warns, 2 where it stops."""
     docs = tmp_path / "docs"
     docs.mkdir()
-    settings = (ROOT / "docs" / "conf.py").read_text(encoding="utf-8")
-    here = f"HERE = Path({str(ROOT / 'docs')!r})"
+    settings = (DOCS / "conf.py").read_text(encoding="utf-8")
+    here = f"HERE = Path({str(DOCS)!r})"
     settings = settings.replace("HERE = Path(__file__).resolve().parent", here)
     settings = settings.replace('["_static"]', "[str(HERE / '_static')]")
     (docs / "conf.py").write_text(settings, encoding="utf-8")
