@@ -151,6 +151,9 @@ def _with_unit(table: Table, name: str, spec: ColumnSpec) -> ColumnSpec:
     try:
         if unit is None:
             unit, origin = _read_unit(table, name, spec)
+        elif spec.target is not None:
+            written = written_unit(unit)
+            unit = unit if written.unit else settled(written, spec.target) or unit
         to_si([], unit, spec.target)
     except UnitError as error:
         raise UnitError(

@@ -465,10 +465,22 @@ def test_units_that_do_not_match_or_are_ambiguous_are_refused_with_channel_and_c
     path = csv(rows(T))
     with pytest.raises(UnitError, match="channel phi from column 'force_N'.*'kN' measures"):
         read_record(path, {"phi": ("force_N", "kN", "rad")})
-    with pytest.raises(UnitError, match=r"channel f .*ambiguous.*kN \(kilonewton\) or kn"):
-        read_record(path, {"f": ("force_N", "KN", "N")})
+    with pytest.raises(UnitError, match=r"channel f .*ambiguous.*nmi \(nautical mile\).*nanometre"):
+        read_record(path, {"f": ("force_N", "nm", "m")})
     with pytest.raises(DataError, match=r"Give \(column, unit in the file, SI target\)"):
         read_record(path, {"f": ("a", "b", "c", "d")})
+
+
+@pytest.mark.parametrize(
+    ("given", "target", "size"),
+    [("g", "m/s^2", 9.80665), ("g", "kg", 1e-3), ("KN", "N", 1e3), ("F", "K", 5 / 9)],
+)
+def test_of_two_readings_of_a_given_unit_the_one_that_fits_the_model_is_taken(
+    csv, given, target, size
+):
+    record = read_record(csv(rows(T)), {"f": ("force_N", given, target)})
+    plain = read_record(csv(rows(T)), {"f": ("force_N", "1", "1")})
+    np.testing.assert_allclose(np.diff(record["f"]), size * np.diff(plain["f"]), atol=1e-9)
 
 
 def test_a_unit_in_brackets_is_the_file_s_word_and_an_ending_only_a_hint(csv):
