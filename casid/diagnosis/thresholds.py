@@ -876,6 +876,11 @@ class Shortlist:
         "among them: many look alike there as well",
         f"{TESTS}/search/test_first_cause.py",
     )
+    alike: float = _is(
+        0.99,
+        "|cosine| from which an effect is refitted beside the best of those: it explains 98 %",
+        f"{TESTS}/search/test_first_cause.py",
+    )
     switch: int = _is(
         3,
         "levels of a switch, at most: held by its nature, nothing in it is sought to be smooth",

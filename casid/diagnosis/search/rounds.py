@@ -224,11 +224,12 @@ class Search:
         adopted: Sequence[Candidate],
         first: Sequence[Candidate] = (),
     ) -> list[Candidate]:
-        """Refit the shortlist of what was not adopted yet, or `first` alone; best first."""
+        """Refit the shortlist of what was not adopted yet, or `first` and its likes; best first."""
         refitting, attempt = self.refitting, self.attempts.attempt
         with self.attempts.within(BUDGET.refits):
             if first:
                 found = [c for c in (refitting.again(at, f) for f in first) if c is not None]
+                found += self.refits_of(at, _likes_of(table, found))
             else:
                 found = self.refits(at, table, adopted)
             if not found:
@@ -291,6 +292,27 @@ class Search:
 def scores_to_refit(at: Weighted, table: ScoreTable) -> list[Score]:
     """The shortlist, and the changes that are over before the record is."""
     return [*shortlist(at, table), *temporary_changes(at, table)]
+
+
+def _likes_of(table: ScoreTable, found: Sequence[Candidate]) -> list[Score]:
+    """Lasting named effects that act in this record as the best candidate does.
+
+    Beside a disturbance the score of one of them may hide: dry friction of what turns one way is a
+    constant term, but for the moment in which it starts.
+    """
+    best = max(found, key=lambda c: c.merit, default=None)
+    keys = [s.effect.key for s in table.scores]
+    if best is None or best.effect.key not in keys:
+        return []
+    here = keys.index(best.effect.key)
+    known = {c.effect.key for c in found}
+    alike = [
+        s
+        for s, cosine in zip(table.scores, table.cosines[here], strict=True)
+        if s.is_visible and s.effect.key not in known and abs(cosine) > SHORTLIST.alike
+    ]
+    lasting = [s for s in alike if not s.effect.is_on_the_clock and s.effect.kind != "unknown"]
+    return list(strongest_of_each(lasting).values())[: SHORTLIST.few]
 
 
 def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:

@@ -98,10 +98,11 @@ def spindle() -> casid.Problem:
     return casid.Problem("spindle", m)
 
 
-def with_dry_friction(friction: float, fine: int = 50) -> casid.Record:
+def with_dry_friction(friction: float, mean: float = 0.0, fine: int = 50) -> casid.Record:
     """A spindle whose bearing sticks below its friction, in small steps; its torque is slow."""
     rng = np.random.default_rng(7)
     torque = lfilter([1.0], [1.0, -0.97], rng.standard_normal(N)) * 1.5 * np.sqrt(1 - 0.97**2)
+    torque += mean
     w, speed = 0.0, np.empty(N)
     for k in range(N):
         speed[k] = w
@@ -126,3 +127,15 @@ def test_what_leaves_noise_once_it_is_refined_is_the_first_cause_as_well():
     assert abs(size.value - 0.2) < 3 * size.std_error
     assert said.count("test every effect (round 1)") == 2  # beside a disturbance, and without one
     assert len(refits(said)) <= SHORTLIST.few
+
+
+@pytest.mark.slow
+def test_what_acts_as_the_first_cause_does_is_refitted_and_named_with_it():
+    """Of what turns one way no motion tells dry friction from a constant term, or from a bias."""
+    found = casid.diagnose(spindle(), with_dry_friction(0.2, mean=6.0), advise=False)
+    (cause,) = found.causes
+    assert {cause.kind, *(a.kind for a in cause.alternatives)} == {
+        "offset",
+        "coulomb_friction",
+        "sensor_bias",
+    }
