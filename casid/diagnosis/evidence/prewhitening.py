@@ -255,8 +255,9 @@ class Weighing:
             use_samples_of(criterion, found.criterion)
             x, length = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
             moved = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
-            if not np.isfinite(criterion.evaluate(x).value):
-                return None
+            before, after = (criterion.evaluate(point).value for point in (criterion.start, x))
+            if not after * float(np.finfo(float).eps) < before:
+                return None  # it diverges: next to its errors none of the records' are left
             at = self.estimated(moved)
             if length < PREWHITENING.converged:
                 return at
