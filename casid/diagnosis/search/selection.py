@@ -23,7 +23,7 @@ from casid.diagnosis.search.friction_sharpness import (
     with_sharp_friction,
     without_blunt_reversals,
 )
-from casid.diagnosis.search.powers_of_states import with_better_powers
+from casid.diagnosis.search.powers_of_signals import with_better_powers
 from casid.diagnosis.search.reconsideration import better_rivals
 from casid.diagnosis.search.refinement import (
     Adoption,

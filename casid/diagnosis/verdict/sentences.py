@@ -27,6 +27,7 @@ from casid.model.effects.names import (
     either_words,
     place_words,
 )
+from casid.model.effects.parameter_effects import is_scheduled_by_power
 from casid.model.identifiers import made_identifier
 from casid.model.quantities import quantity_text, quantity_texts
 
@@ -200,7 +201,7 @@ def says(effect: Effect, column: str = "") -> str:
     if effect.kind == "parameter_drift" and "stop" in effect.constants:
         change = f"its change is that {_drift_time(effect)}, its value the one in the middle"
         return f"{says_kind(effect.kind, effect.where)} ({change})"
-    if effect.is_store:
+    if effect.is_store or is_scheduled_by_power(effect):
         return effect.description
     if effect.shape == RATE:
         return says_rate_limit(effect.where, "a rate")

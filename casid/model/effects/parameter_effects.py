@@ -12,11 +12,18 @@ from casid.model.clock_signals import RampOver, StepAt
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Motion, Sizes, Spread
+from casid.model.effects.flow_laws import is_never_negative
 from casid.model.effects.names import FOR_A_WHILE
 from casid.model.effects.place import is_amount, is_mechanical, is_zero, recorded_inputs
-from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS, UNNAMED_EFFECTS
+from casid.model.effects.search_ranges import (
+    PARAMETER_JUMPS,
+    SATURATIONS,
+    SMOOTHING,
+    UNNAMED_EFFECTS,
+)
 from casid.model.model import Model
-from casid.model.units import declared_quotient, unit_quotient
+from casid.model.quantities import quantity_text
+from casid.model.units import declared_quotient, from_si, same_dimension, unit_quotient
 
 
 def jump_times(window: tuple[float, float], count: int = PARAMETER_JUMPS.times) -> list[float]:
@@ -280,14 +287,24 @@ def input_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
     Parameters of balances of heat or matter, with the inputs that carry their states along: a
     transfer coefficient depends on the flow past it. The gain of an input, with the others: what a
-    heat pump makes of its power depends on the temperature outside.
+    heat pump makes of its power depends on the temperature outside. What multiplies a state, with
+    inputs that keep their sign: a loss goes with the speed of a fan whose power heats as well.
     """
-    pairs = dict.fromkeys((*_with_flows(model), *_gains_with_other_inputs(model)))
-    for name, channel in pairs:
-        low, high = sizes.readings.get(channel, (0.0, 0.0))
-        if low < high:
-            spread = Spread(0.5 * (low + high), low, high)
+    pairs = (
+        *_with_flows(model),
+        *_gains_with_other_inputs(model),
+        *_of_states_with_levels(model, sizes),
+    )
+    for name, channel in dict.fromkeys(pairs):
+        spread = spread_of_input(sizes, channel)
+        if spread.lowest < spread.highest:
             yield scheduled_parameter(model, name, channel, model.inputs[channel].unit, spread)
+
+
+def spread_of_input(sizes: Sizes, channel: str) -> Spread:
+    """The range of an input in the records, about its middle."""
+    low, high = sizes.readings.get(channel, (0.0, 0.0))
+    return Spread(0.5 * (low + high), low, high)
 
 
 def _with_flows(model: Model) -> Iterator[tuple[str, str]]:
@@ -308,6 +325,25 @@ def _gains_with_other_inputs(model: Model) -> Iterator[tuple[str, str]]:
         beside = {s.name() for slope in slopes for s in ca.symvar(slope)}
         if not p.is_known and beside & {*inputs} and not beside & {*model.states}:
             yield from ((name, channel) for channel in inputs if channel not in beside)
+
+
+def _of_states_with_levels(model: Model, sizes: Sizes) -> Iterator[tuple[str, str]]:
+    """Parameters that multiply states, with the inputs beside them that never change their sign.
+
+    Not with an input that the parameter multiplies as well, nor where the product with the input
+    is in the model, with a parameter of its own.
+    """
+    totals = ca.vertcat(*[b.total for b in model.balances.values()])
+    unknown = [n for n, p in model.parameters.items() if not (p.is_known or p.is_constant)]
+    slopes = {n: ca.densify(ca.jacobian(totals, model.symbol(n))) for n in unknown}
+    for name, slope in slopes.items():
+        beside = {s.name() for s in ca.symvar(slope)}
+        for channel in recorded_inputs(model) if beside & {*model.states} else ():
+            is_level = has_one_sign(spread_of_input(sizes, channel))
+            product = slope * model.symbol(channel)
+            if is_level and channel not in beside:
+                if not any(is_zero(ca.sumsqr(product - other)) for other in slopes.values()):
+                    yield name, channel
 
 
 def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
@@ -332,9 +368,7 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
     p = Parameter(f"slope_{name}_{channel}", unit_quotient(old.unit, unit, 1), 0.0)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        is_own = channel in new.inputs
-        signal = Input(channel, unit, "known", spread.hold)
-        c = new.symbol(channel) if is_own else new.add_input(signal)
+        c = _signal(new, channel, unit, spread)
         moved = new.symbol(name) + new.symbol(names[0]) * (c - carrying_unit(spread.mean))
         new.substitute_symbol(name, moved)
 
@@ -351,6 +385,71 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
         constants={"mean": spread.mean},
         declared_units={p.name: _per(model, name, channel, unit)},
     )
+
+
+def power_scheduled_parameter(
+    model: Model, name: str, channel: str, unit: str, spread: Spread
+) -> Effect:
+    """A parameter p that grows or falls with a power of a channel or an input: p |c / c_mean|^n.
+
+    A heat transfer coefficient goes with the flow past it to the power 0.8 (Dittus and Boelter), a
+    drag with the density to the power 1. At the mean of the fitted records p stays what it is. Near
+    c = 0 the power is rounded at a thousandth of the mean. The null value is n = 0.
+    """
+    most = UNNAMED_EFFECTS.highest_power
+    n = Parameter(f"exponent_{name}_{channel}", "1", 0.0, lower=-most, upper=most)
+    small = carrying_unit((SMOOTHING.power * spread.mean) ** 2)
+    whole = carrying_unit(spread.mean**2) + small
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        c = _signal(new, channel, unit, spread)
+        power = ca.exp(0.5 * new.symbol(names[0]) * ca.log((c**2 + small) / whole))
+        new.substitute_symbol(name, new.symbol(name) * power)
+
+    shown = model.declared_units.get(channel, unit)
+    level = quantity_text(float(from_si(spread.mean, shown)), shown)
+    return Effect(
+        "scheduled_parameter",
+        f"{name}~{channel}",
+        (n,),
+        apply,
+        priority=int(model.parameters[name].is_known),
+        description=f"the parameter {name} changes with {channel} as a power of it, "
+        f"({channel}/{level})^{n.name}",
+        constants={"reference": spread.mean},
+    )
+
+
+def is_scheduled_by_power(effect: Effect) -> bool:
+    """True of a parameter that changes with a power of a channel or an input."""
+    return effect.kind == "scheduled_parameter" and "reference" in effect.constants
+
+
+def is_scheduled_by_channel(effect: Effect) -> bool:
+    """True of one that changes with a recorded channel or an input, by a line or a power."""
+    is_line = effect.kind == "scheduled_parameter" and set(effect.constants) == {"mean"}
+    return is_scheduled_by_power(effect) or (is_line and not effect.description)
+
+
+def has_powers(spread: Spread, unit: str) -> bool:
+    """True of a channel a power of which a parameter may go with: it keeps its sign.
+
+    No temperature, which would be counted from absolute zero.
+    """
+    return has_one_sign(spread) and not same_dimension(unit, "K")
+
+
+def has_one_sign(spread: Spread) -> bool:
+    """True of a channel that is never less than zero, or never more, but for its rounding."""
+    ends = (spread.lowest, spread.highest)
+    return is_never_negative(ends) or is_never_negative((-ends[1], -ends[0]))
+
+
+def _signal(new: Model, channel: str, unit: str, spread: Spread) -> Any:
+    """The symbol of a channel, which becomes an input where it is none."""
+    if channel in new.inputs:
+        return new.symbol(channel)
+    return new.add_input(Input(channel, unit, "known", spread.hold))
 
 
 def _per(model: Model, name: str, other: str, unit: str, power: int = 1) -> str:

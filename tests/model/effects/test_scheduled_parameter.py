@@ -12,6 +12,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import casid
 from casid.model.effects.effect import Motion, Sizes, Spread
@@ -19,6 +20,7 @@ from casid.model.effects.parameter_effects import (
     inhibited_parameter,
     input_schedules_of,
     is_constant_term,
+    power_scheduled_parameter,
     scheduled_parameter,
     state_scheduled_parameter,
     state_schedules_of,
@@ -311,12 +313,12 @@ def heat_pump() -> casid.Problem:
 
 
 def test_the_gain_of_an_input_is_tested_with_every_other_input():
-    """The loss, which multiplies the tank's own temperature too, is no gain of an input."""
+    """The loss, which multiplies the temperature outside itself, with the power alone."""
     sizes = Sizes(
         {}, {}, (0.0, 1.0), 1.0, readings={"outside": (270.0, 285.0), "power": (0.0, 200.0)}
     )
     found = [e.where for e in input_schedules_of(heat_pump().model, sizes)]
-    assert found == ["efficiency~outside"]
+    assert found == ["efficiency~outside", "loss~power"]
 
 
 @pytest.mark.slow
@@ -343,6 +345,89 @@ def test_what_a_heat_pump_makes_of_its_power_depends_on_the_temperature_outside(
     assert size.std_error is not None
     assert abs(size.value - slope) < 3 * size.std_error
     assert size.std_error < 0.1 * slope
+
+
+def seat() -> casid.Problem:
+    """A seat on a spring, whose damper's current pulls at it."""
+    m = casid.Model("seat")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    force = m.input("force", "N", hold="zoh", known=True)
+    current = m.input("current", "A", hold="zoh", known=True)
+    d = m.parameter("d", "N s/m", start=20.0, lower=0.0, upper=1e3)
+    k = m.parameter("k", "N/m", start=1800.0, lower=0.0, upper=1e5)
+    c = m.parameter("c", "N/A", start=3.0, lower=0.0, upper=100.0)
+    mass = m.parameter("m", "kg", start=7.0, lower=0.1, upper=100.0)
+    m.derivative(x, v)
+    m.balance(v, "force balance", inertia=mass, terms=[force, c * current, -d * v, -k * x])
+    m.output("position", x, "mm")
+    return casid.Problem("seat", m)
+
+
+def test_what_multiplies_a_state_is_tested_with_the_inputs_that_keep_their_sign():
+    """The damping of a damper goes with its current; the force on the seat is no level."""
+    m = seat().model
+    sizes = Sizes({}, {}, (0.0, 1.0), 1.0, readings={"force": (-9.0, 9.0), "current": (0.0, 2.0)})
+    found = [e.where for e in input_schedules_of(m, sizes)]
+    assert found == ["c~force", "d~current", "k~current"]
+    # With a parameter of its own, d_1 current v, nothing is left for d to change by.
+    d_1 = m.parameter("d_1", "N s/(m A)", start=1.0)
+    m.add_term("force balance", -d_1 * m.symbol("current") * m.symbol("v"))
+    found = [e.where for e in input_schedules_of(m, sizes)]
+    assert found == ["c~force", "k~current"]
+
+
+@pytest.mark.slow
+def test_a_damping_that_goes_with_a_current_is_named_where_the_current_acts_otherwise_too():
+    """8 v' = force + 4 i - 30 (1 + 0.5 (i - 1)) v - 2000 x, by exact steps of 10 ms."""
+    rng, n, h = np.random.default_rng(1), 2500, 0.01
+    current = np.repeat(rng.uniform(0.1, 2.0, n // 125), 125)
+    force = 20.0 * np.convolve(rng.standard_normal(n), np.ones(15) / 4, "same")
+    state, x = np.zeros(2), np.empty(n)
+    for j in range(n):
+        x[j] = state[0]
+        A = np.array([[0.0, 1.0], [-250.0, -30.0 * (1 + 0.5 * (current[j] - 1.0)) / 8]])
+        step = expm(A * h)
+        rest = np.array([(force[j] + 4.0 * current[j]) / 2000.0, 0.0])
+        state = rest + step @ (state - rest)
+    position = x + 1e-4 * rng.standard_normal(n)
+    record = casid.Record(
+        {"force": force, "current": current, "position": position},
+        {"force": "N", "current": "A", "position": "m"},
+        Ts=h,
+    )
+    found = casid.diagnose(seat(), record, advise=False)
+    assert [(c.kind, c.where) for c in found.causes] == [("scheduled_parameter", "d~current")]
+    (slope,) = found.causes[0].parameters
+    assert slope.std_error is not None
+    assert abs(slope.value - 15.0) < 4 * slope.std_error
+    assert slope.std_error < 0.15
+    assert found.held_out["extended_rmse"]["position"] == pytest.approx(0.1, rel=0.1)  # mm
+
+
+def test_a_power_of_a_channel_leaves_a_parameter_what_it_is_at_the_mean():
+    """UA (flow / 0.1)^n, and next to nothing without a flow."""
+    m = casid.Model("tank")
+    T = m.state("T", "K")
+    m.input("flow", "L/min", known=True)
+    UA = m.parameter("UA", "W/K", start=200.0, lower=0.0)
+    m.balance(T, "tank", inertia=m.constant("C", 1.0, "J/K"), terms=[-UA * T])
+    m.output("T", T, "K")
+    spread = Spread(2e-4, 0.0, 4e-4)
+    effect = power_scheduled_parameter(m, "UA", "flow", "m^3/s", spread)
+    assert effect.key == ("scheduled_parameter", "UA~flow")
+    assert "(flow/12 L/min)^exponent_UA_flow" in effect.description
+    new, (n,) = effect.extended(m)
+    e = new.explicit()
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f, ca.jacobian(e.f, e.p)])
+    for exponent in (0.0, 0.8, 1.0):
+        values = {"UA": 200.0, "C": 1.0, n: exponent}
+        p = [values[name] for name in e.parameters]
+        for ratio in (0.5, 1.0, 2.0):
+            rate, slopes = f(1.0, ratio * spread.mean, p)
+            assert float(rate) == pytest.approx(-200.0 * ratio**exponent, rel=1e-5)
+        rate, slopes = f(1.0, 0.0, p)
+        assert np.all(np.isfinite(slopes.full()))
+        assert float(rate) == pytest.approx(-200.0 * 1e-3**exponent, rel=1e-5)
 
 
 def test_a_channel_named_with_brackets_has_a_size_and_an_error_as_any_other():

@@ -1,9 +1,10 @@
-"""How a parameter changes with a state, judged once more beside the causes found since.
+"""How a parameter changes with a signal, judged once more beside the causes found since.
 
 A parameter may fall with the size of a state or with its square, in proportion or less and less.
 Which of these it does was chosen while other causes were missing, and their misfit favours one or
 the other; the wrong one leaves a remainder that further effects then imitate. By a parabola and by
-what levels off a small change is the same: the parabola is compared here alone.
+what levels off a small change is the same: the parabola is compared here alone. So is a power of
+a recorded channel or an input, whose tangent at the mean is the line that was tested.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from casid.diagnosis.evidence.prewhitening import minus_log_likelihood
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.search.candidates import Candidate, extended_by, name_of
 from casid.diagnosis.search.refinement import (
@@ -22,21 +24,34 @@ from casid.diagnosis.search.refinement import (
     whole_fit,
 )
 from casid.diagnosis.search.simulation_errors import on_common_samples, simulation_errors
+from casid.diagnosis.thresholds import COMPARISON
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 from casid.model.effects.parameter_effects import (
+    has_powers,
+    is_scheduled_by_channel,
+    is_scheduled_by_power,
     is_scheduled_by_state,
+    power_scheduled_parameter,
+    scheduled_parameter,
+    spread_of_input,
     state_scheduled_parameter,
 )
 from casid.model.effects.search_ranges import SATURATIONS
 
 
 def with_better_powers(refine: Refinement, found: Adoption) -> Adoption:
-    """The causes with the powers of states that fit and predict better beside all others."""
+    """The causes with the powers of signals that fit and predict better beside all others."""
     for i in range(len(found.adopted)):
-        if found.fit is not None and is_scheduled_by_state(found.adopted[i].candidate.effect):
-            for effect, step in _other_powers(refine, found, i):
-                found = _by_the_better(refine, found, i, effect, step)
+        if found.fit is None:
+            break
+        effect = found.adopted[i].candidate.effect
+        if is_scheduled_by_state(effect):
+            for other, step in _other_powers(refine, found, i):
+                found = _by_the_better(refine, found, i, other, step)
+        elif is_scheduled_by_channel(effect):
+            for other, step in _other_laws(refine, found, i):
+                found = _by_the_better(refine, found, i, other, step, least=COMPARISON.likely)
     return found
 
 
@@ -63,10 +78,38 @@ def _other_powers(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple
                 yield effect, change / (motion.high - motion.low)
 
 
+def _other_laws(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple[Effect, float]]:
+    """A power of the channel for a line, a line for a power, with the same slope at the mean."""
+    assert found.fit is not None
+    own, model = found.adopted[i].candidate, refine.start.model
+    name, channel = own.effect.where.split("~")
+    sizes = sizes_of(refine.start, refine.search.recorded)
+    if channel in model.inputs:
+        unit, spread = model.inputs[channel].unit, spread_of_input(sizes, channel)
+    else:
+        unit, spread = refine.search.recorded[channel], sizes.channels[channel]
+    if not has_powers(spread, unit):
+        return
+    values = found.fit.values
+    size, p = values[own.names[0]], values.get(name, model.parameters[name].nominal)
+    if is_scheduled_by_power(own.effect):
+        yield scheduled_parameter(model, name, channel, unit, spread), size * p / spread.mean
+    elif p != 0.0:
+        yield (
+            power_scheduled_parameter(model, name, channel, unit, spread),
+            size * spread.mean / p,
+        )
+
+
 def _by_the_better(
-    refine: Refinement, found: Adoption, i: int, effect: Effect, step: float
+    refine: Refinement, found: Adoption, i: int, effect: Effect, step: float, least: float = 0.0
 ) -> Adoption:
-    """The causes with another effect in the place of one of as many parameters, if it is better."""
+    """The causes with another effect in the place of one of as many parameters, if it is better.
+
+    Parameters
+    ----------
+    least : twice the logarithm of how much likelier it is at least.
+    """
     fit = found.fit
     assert fit is not None
     refine.search.progress(f"compare powers of the {name_of(effect)}")
@@ -85,6 +128,8 @@ def _by_the_better(
         return found
     adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
     at = refine.search.weighing.weigh(new.criterion.model, new, rounds=1)
+    if least and not 2 * (minus_log_likelihood(found.at) - minus_log_likelihood(at)) > least:
+        return found
     return replace(found, adopted=tuple(adopted), at=at, fit=new)
 
 
