@@ -95,7 +95,8 @@ def diagnose(
     progress : called with a line of text at every step.
 
     A channel that was probably recorded with the wrong sign is named first, as `sensor_scale`, and
-    negated for everything after; the baseline is the model with the record as it is.
+    negated for everything after; the baseline is the model with the record as it is. One that shows
+    absolute values (`rectified`) likewise, where the model without them is far from its record.
 
     Returns
     -------

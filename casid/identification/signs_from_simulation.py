@@ -162,7 +162,7 @@ def wrong_sign(
     if recorded is not None and not is_poor(recorded):
         return None
     found = {c: _fitted(model, negated(short, c), quick) for c in channels}
-    squares = {c: _squares(f) for c, f in found.items() if f is not None}
+    squares = {c: squared_errors(f) for c, f in found.items() if f is not None}
     if not squares:
         return None
     # Of those that fit alike the first is named: outputs before inputs.
@@ -170,13 +170,14 @@ def wrong_sign(
     error = squares[best]
     # Where nothing fits as recorded, a flip has to be better than some other.
     others = [s for s in squares.values() if error.sum() < CLEARLY * s.sum()]
-    reference = _squares(recorded) if recorded is not None else min(others, key=_sum, default=error)
+    least = min(others, key=_sum, default=error)
+    reference = squared_errors(recorded) if recorded is not None else least
     # The best of the quick fits once more, to its end: the steps of those may be too long.
     if error.sum() < reference.sum() and (full := _to_its_end(found[best], settings)) is not None:
         found[best] = full
     fit = found[best]
     assert fit is not None
-    left = _squares(fit)
+    left = squared_errors(fit)
     p = min(1.0, len(channels) * better_by_chance(reference - left))
     missing = dict.fromkeys(model.outputs, float("nan"))
     before = missing if recorded is None else _rms(recorded)
@@ -188,7 +189,7 @@ def wrong_sign(
         return None
     # The fit as recorded may have stopped on the way: from where the turned one ended, too.
     instead = _near(model, short, replace(settings, starts=1), fit)
-    if instead is not None and left.sum() >= CLEARLY * _squares(instead).sum():
+    if instead is not None and left.sum() >= CLEARLY * squared_errors(instead).sum():
         return None
     better = {c: s for c, s in squares.items() if s.sum() < CLEARLY * reference.sum()}
     same = {c: min(1.0, 2.0 * better_by_chance(s - error)) for c, s in better.items() if c != best}
@@ -217,7 +218,9 @@ def _as_recorded(
         return reported if np.isfinite(reported.solution.value) else None
     steps = replace(quick, substeps=reported.criterion.substeps)
     found = [_fitted(model, short, quick), _near(model, short, steps, reported)]
-    return min((f for f in found if f is not None), key=lambda f: _sum(_squares(f)), default=None)
+    return min(
+        (f for f in found if f is not None), key=lambda f: _sum(squared_errors(f)), default=None
+    )
 
 
 def _near(
@@ -317,7 +320,7 @@ def _is_absolute(record: Record, channel: str) -> bool:
     return bool(kept.size and kept.min() > np.ptp(kept))
 
 
-def _is_better_than_the_mean(fit: Fit) -> bool:
+def is_better_than_the_mean(fit: Fit) -> bool:
     """True if the weighted squared errors are less than those of each output's mean."""
     c = fit.criterion
     total = 0.0
@@ -326,7 +329,7 @@ def _is_better_than_the_mean(fit: Fit) -> bool:
             y = d.y[d.used[:, i], i]
             weights = np.broadcast_to(c.weights, d.y.shape)[d.used[:, i], i]
             total += float(np.sum((weights * (y - y.mean())) ** 2)) if y.size else 0.0
-    return _sum(_squares(fit)) < total
+    return _sum(squared_errors(fit)) < total
 
 
 def _is_good(fit: Fit, channel: str) -> bool:
@@ -335,7 +338,7 @@ def _is_good(fit: Fit, channel: str) -> bool:
     bounded = [v.name in fit.solution.active for v in free if v.source in model.parameters]
     if len(bounded) > 1 and all(bounded):
         return False
-    return _is_better_than_the_mean(fit) and not _is_better_at_rest(fit, channel)
+    return is_better_than_the_mean(fit) and not _is_better_at_rest(fit, channel)
 
 
 def _is_better_at_rest(fit: Fit, channel: str) -> bool:
@@ -425,7 +428,7 @@ def negated_split(split: Split, channel: str) -> Split:
     )
 
 
-def _squares(fit: Fit) -> Array:
+def squared_errors(fit: Fit) -> Array:
     """(sum of N,) squared weighted errors of all outputs, experiments stacked."""
     c = fit.criterion
     parts = [

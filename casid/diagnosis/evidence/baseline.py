@@ -18,6 +18,7 @@ from casid.diagnosis.evidence.recorded_channels import (
     channels_held_out_too,
     varying_channels,
 )
+from casid.diagnosis.evidence.rectified_channels import Rectified, rectified_channel
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.steps_between_rows import steps_between_rows
 from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
@@ -61,6 +62,7 @@ class Baseline:
     channels : recorded channels outside the model, on which causes may depend, name -> unit.
     corrupted : samples left out.
     negated : a channel that probably has the wrong sign.
+    rectified : a channel that shows absolute values: it does in `fit` and `start`.
     why_undecided : why the records support no answer, or an empty text.
     levels : gaps in which levels of inputs are estimated.
     why_doubtful : why `fit` is unreliable, or an empty text. An added cause may remedy that; where
@@ -76,11 +78,17 @@ class Baseline:
     channels: dict[str, str]
     corrupted: CorruptedSamples = CorruptedSamples()
     negated: WrongSign | None = None
+    rectified: Rectified | None = None
     why_undecided: str = ""
     why_doubtful: str = ""
     is_fitted: bool = True
     notes: tuple[str, ...] = ()
     levels: int = 0
+
+    @property
+    def is_extended(self) -> bool:
+        """True if `fit` is one of more than the model as it is, to the records as they are."""
+        return self.negated is not None or self.rectified is not None
 
 
 def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
@@ -139,12 +147,12 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     split, little = holding_out_measured(split, list(problem.model.outputs))
     say("fit the model as it is")
     split, of_windows, begun = in_windows(problem.model, split, settings.fit, say)
-    fit, negated = _with_signs_as_recorded(problem, split, settings, begun)
+    fit, negated, sizes = _with_signs_as_recorded(problem, split, settings, begun)
     as_recorded: Fit | None = None
+    if sizes is not None:
+        problem, as_recorded, fit = replace(problem, model=sizes.model), fit, sizes.fit
     if negated is not None:
-        say(f"negate {negated.channel}, which probably has the wrong sign")
-        as_recorded = fit or _fit_as_recorded(problem, split, settings.fit, negated)
-        split = negated_split(split, negated.channel)
+        as_recorded, split = _negated(problem, split, settings, negated, fit)
     if fit is None or negated is not None:
         fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
     split, fit = _stepped(problem, split, settings, fit)
@@ -175,11 +183,11 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         channels=channels,
         corrupted=corrupted,
         negated=negated,
+        rectified=sizes,
         why_undecided=undecided,
         why_doubtful="" if undecided else why_doubtful(fit, start, errors),
         notes=(
-            *(text for text in (of_windows, sized, less or little) if text),
-            *((between.note,) if between is not None else ()),
+            *filter(None, (of_windows, sized, less or little, between.note if between else "")),
             *notes,
         ),
         levels=gaps,
@@ -245,14 +253,17 @@ def _levelled(
 
 def _with_signs_as_recorded(
     problem: Problem, split: Split, settings: DiagnosisSettings, start: Mapping[str, float]
-) -> tuple[Fit | None, WrongSign | None]:
-    """The fit of the records as they are, and the channel that has the wrong sign in it."""
+) -> tuple[Fit | None, WrongSign | None, Rectified | None]:
+    """The fit of the records as they are, and the channel that has a wrong sign in it, or none."""
     fit: Fit | None = None
     with suppress(SolveError, IdentifiabilityError):  # the next fit says so, or a sign is to blame
         fit = fit_model(problem.model, split.fitted, settings.fit, start=start, throw=False)
     if fit is not None and not is_poor(fit):
-        return fit, None
-    return fit, wrong_sign(problem, split.fitted, settings.fit, reported=fit, alpha=settings.alpha)
+        return fit, None, None
+    if fit is not None and (sizes := rectified_channel(split, settings, fit)) is not None:
+        return fit, None, sizes
+    alpha = settings.alpha
+    return fit, wrong_sign(problem, split.fitted, settings.fit, reported=fit, alpha=alpha), None
 
 
 def _again(problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit) -> Fit:
@@ -270,6 +281,15 @@ def _uninformative(problem: Problem, split: Split, settings: FitSettings, why: s
     weighing = Weighing(split.fitted, solver=settings.solver)
     start = weighted_as_white(fit)
     return Baseline(split, split, fit, fit, start, weighing, {}, why_undecided=why, is_fitted=False)
+
+
+def _negated(
+    problem: Problem, split: Split, settings: DiagnosisSettings, wrong: WrongSign, fit: Fit | None
+) -> tuple[Fit, Split]:
+    """The fit with the sign as it was recorded, and the records with it negated."""
+    settings.progress(f"negate {wrong.channel}, which probably has the wrong sign")
+    as_recorded = fit or _fit_as_recorded(problem, split, settings.fit, wrong)
+    return as_recorded, negated_split(split, wrong.channel)
 
 
 def _fit_as_recorded(

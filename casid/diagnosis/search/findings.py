@@ -80,10 +80,10 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         progress=settings.progress,
         attempts=Attempts(settings.search_ends),
     )
-    # With a wrong sign, the model fitted to the negated channel is an extension by itself.
-    negated_fit = baseline.fit if baseline.negated is not None else None
+    # With a wrong sign, or absolute values, the model of the channel is an extension by itself.
+    own_fit = baseline.fit if baseline.is_extended else None
     if baseline.why_undecided:
-        return Findings(baseline, search, baseline.start, negated_fit)
+        return Findings(baseline, search, baseline.start, own_fit)
     search, start, found = _found(search, baseline, settings)
     baseline = replace(baseline, start=start)
     last = _LastSteps(search, baseline, settings, Soundness(baseline.fit, baseline.split))
@@ -92,7 +92,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         baseline = replace(baseline, why_undecided=_why_open(search))
     found = last.by_likelier_rivals(last.judged_again(found))
     specific, found = last.record_specific(found)
-    extended = found.fit or negated_fit
+    extended = found.fit or own_fit
     corrected = last.without_input_noise(problem, extended)
     if corrected is not None and extended is not None:
         extended = corrected.fit

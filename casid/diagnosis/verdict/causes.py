@@ -11,6 +11,7 @@ from casid.arrays import TINY
 from casid.data.reading.columns import ColumnSpec
 from casid.diagnosis.evidence.corrupted_samples import confirmed
 from casid.diagnosis.evidence.plateaus import Plateaus
+from casid.diagnosis.evidence.rectified_channels import Rectified
 from casid.diagnosis.evidence.spikes import Spikes
 from casid.diagnosis.evidence.stuck_sensors import Standstills
 from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
@@ -28,6 +29,9 @@ from casid.identification.signs_from_simulation import WrongSign
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import ACTS_LATE, ADVANCE, RATE, place_words
 from casid.model.quantities import instant_text, quantity_text
+
+SWITCHED_ON = "not estimated: either present or absent"
+"""Note on the parameter of a kind that is there or not."""
 
 
 def causes_of(
@@ -200,7 +204,7 @@ def _parameters_of(adopted: Adopted, estimate: Estimate) -> tuple[Estimated, ...
     candidate = adopted.candidate
     rows = [p for p in estimate.parameters if p.name in candidate.names]
     if candidate.effect.is_switched:
-        blend, note = candidate.names[0], "not estimated: either present or absent"
+        blend, note = candidate.names[0], SWITCHED_ON
         rows = [replace(p, note=note) if p.name == blend else p for p in rows]
     if candidate.effect.sets_in:
         Ts = min(d.Ts for d in candidate.fit.criterion.data)
@@ -257,8 +261,6 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
 
 def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
     """The causes with the wrong sign first: the others were found with the sign corrected."""
-    old, new = (_square_over_spread(fit) for fit in (before, after))
-    share = max(old - new, 0.0) / max(old, TINY)
     alternatives = tuple(
         Alternative(
             "sensor_scale", c, p, "negated, it fits as well: check the axes of both sensors"
@@ -271,10 +273,31 @@ def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fi
         p_value=turned.p_value,
         parameters=(Estimated("scale", -1.0, "1", note="only the sign was tested"),),
         alternatives=alternatives,
-        share=share,
         sentence=f"the channel {turned.channel} probably has the wrong sign, a scale of -1",
     )
-    return [first, *(replace(c, share=(1 - share) * c.share) for c in causes)]
+    return _with_first(first, causes, before, after)
+
+
+def with_the_sizes(shown: Rectified, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
+    """The causes with a channel of absolute values first: the others were found with it."""
+    first = Cause(
+        kind="rectified",
+        where=shown.channel,
+        p_value=shown.p_value,
+        parameters=(Estimated(shown.name, 1.0, "1", note=SWITCHED_ON),),
+        sentence=says_kind("rectified", shown.channel),
+    )
+    return _with_first(first, causes, before, after)
+
+
+def _with_first(first: Cause, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
+    """Causes behind one that was found before all others, by the misfit that it explains."""
+    old, new = (_square_over_spread(fit) for fit in (before, after))
+    share = max(old - new, 0.0) / max(old, TINY)
+    return [
+        replace(first, share=share),
+        *(replace(c, share=(1 - share) * c.share) for c in causes),
+    ]
 
 
 def _square_over_spread(fit: Fit) -> float:

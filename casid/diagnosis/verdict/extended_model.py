@@ -32,6 +32,9 @@ def extended_model(
             for r, e in zip(records, recorded, strict=True)
         )
         causes.insert(0, AddedCause("sensor_scale", negated.channel, names))
+    sizes = found.baseline.rectified
+    if sizes is not None:
+        causes.insert(0, AddedCause("rectified", sizes.channel, (sizes.name,)))
     return replace(
         fitted,
         model=model,

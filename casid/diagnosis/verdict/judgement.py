@@ -15,7 +15,7 @@ from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
-from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
+from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign, with_the_sizes
 from casid.diagnosis.verdict.error_bars import bars_of, unknown_sizes
 from casid.diagnosis.verdict.exact_constants import exact_constants
 from casid.diagnosis.verdict.extended_model import extended_model
@@ -115,10 +115,10 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     # What is held out has another disturbance in it, but one that its past foretells.
     is_random = is_disturbed and _predicts_held_out(found, remainder)
     causes = causes_of(found, extended or baseline, problem.columns())
-    negated = partial(_with_the_sign, found)
+    with_sign = partial(_with_the_sign, found)
     remaining = _remaining(
         found,
-        negated(causes),
+        with_sign(causes),
         fitted,
         held,
         extended or baseline,
@@ -135,7 +135,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     compare = partial(_compared_with_functions, found, causes, remainder)
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)
-    causes = with_refusal_reasons(negated(causes), found.search.refused)
+    causes = with_refusal_reasons(with_sign(causes), found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = _unlike(found, fitted, held, baseline, beside)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
@@ -343,11 +343,13 @@ def _errors(found: Findings, *, with_disturbances: bool) -> tuple[Errors, Errors
 
 
 def _with_the_sign(found: Findings, causes: list[Cause]) -> list[Cause]:
-    """The causes, with a wrong sign first where there is one."""
-    negated = found.baseline.negated
-    if negated is None:
-        return causes
-    return with_the_sign(negated, causes, found.base_fit, found.best_fit)
+    """The causes, with a wrong sign first where there is one, or absolute values."""
+    negated, sizes = found.baseline.negated, found.baseline.rectified
+    if negated is not None:
+        return with_the_sign(negated, causes, found.base_fit, found.best_fit)
+    if sizes is not None:
+        return with_the_sizes(sizes, causes, found.base_fit, found.best_fit)
+    return causes
 
 
 def _why_undecided(start: Baseline, unlike: str, disturbances: Sequence[Disturbance]) -> str:

@@ -287,6 +287,18 @@ class Ranges:
 
 
 @dataclass(frozen=True, slots=True)
+class RectifiedSensors:
+    """Sensors that show absolute values."""
+
+    below_zero: float = _is(
+        0.1,
+        "of its largest reading, how far the noise of a channel of sizes may reach below zero, and "
+        "the least that a simulation of either sign has on both sides",
+        "tests/diagnosis/evidence/test_rectified_channels.py",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class UnnamedEffects:
     """Effects without an established name."""
 
@@ -320,6 +332,7 @@ HYSTERESIS = Hysteresis()
 CONTACT_RANGES = ContactRanges()
 ACTUATORS = Actuators()
 RANGES = Ranges()
+RECTIFIED = RectifiedSensors()
 UNNAMED_EFFECTS = UnnamedEffects()
 
 GROUPS = (
@@ -334,6 +347,7 @@ GROUPS = (
     CONTACT_RANGES,
     ACTUATORS,
     RANGES,
+    RECTIFIED,
     UNNAMED_EFFECTS,
 )
 

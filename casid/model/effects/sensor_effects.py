@@ -9,6 +9,8 @@ import casadi as ca
 
 from casid.model.declarations import Parameter
 from casid.model.effects.effect import Effect, Sizes, switched_on
+from casid.model.effects.search_ranges import RECTIFIED
+from casid.model.identifiers import made_identifier
 from casid.model.model import Model
 from casid.model.units import same_dimension
 
@@ -26,6 +28,11 @@ def rectified(model: Model, channel: str) -> Effect:
         new.replace_output(channel, other, unit)
 
     return Effect("rectified", channel, (p,), apply, sided="positive")
+
+
+def shows_sizes(low: float, high: float) -> bool:
+    """True of readings from `low` to `high` that may be absolute values, but for their noise."""
+    return high > 0.0 and low >= -RECTIFIED.below_zero * high
 
 
 def lever_arm(model: Model, channel: str, rate: str) -> Effect:
@@ -47,8 +54,8 @@ def lever_arm(model: Model, channel: str, rate: str) -> Effect:
 def sensor_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Sensors that may show an absolute value, or sit away from the assumed point."""
     for channel in model.outputs:
-        low, high = sizes.readings.get(channel, (-1.0, 1.0))
-        if low >= 0.0 < high:
+        is_shown = made_identifier(f"rectified_{channel}") in model.parameters
+        if shows_sizes(*sizes.readings.get(channel, (-1.0, 1.0))) and not is_shown:
             yield rectified(model, channel)
         for balance in model.balances.values():
             if same_dimension(model.states[balance.rate].unit, "rad/s") and (
