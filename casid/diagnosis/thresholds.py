@@ -870,6 +870,12 @@ class Shortlist:
         "looks like a force for a while and like two parameters",
         f"{TESTS}/search/test_temporary_changes.py",
     )
+    lags: int = _is(
+        4,
+        "lags of further channels, at most, where misfit passes for noise: another lag, or a "
+        "parameter at its bound, hides what they gain",
+        f"{TESTS}/search/test_lags_of_channels.py",
+    )
     few: int = _is(
         6,
         "effects that are seen beside a disturbance, at most, where the first cause is sought "

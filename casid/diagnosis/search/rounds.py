@@ -37,6 +37,7 @@ from casid.diagnosis.search.imitations import (
 )
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
+from casid.diagnosis.search.lags_of_channels import delays_of_best, lags_beside
 from casid.diagnosis.search.memory import Memory
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.search.swinging_parts import beside_lines
@@ -252,7 +253,9 @@ class Search:
         kept = self.memory.refits
         if at in kept and not adopted:
             return list(kept[at])
-        found = self.refits_of(at, scores_to_refit(at, table))
+        short = scores_to_refit(at, table)
+        found = self.refits_of(at, short)
+        found += self.refits_of(at, delays_of_best(table, found, short))
         found = placed(self.refitting, at, found, events_of(adopted), self.progress)
         if not adopted and not self.attempts.not_done:
             kept[at] = found
@@ -290,8 +293,9 @@ class Search:
 
 
 def scores_to_refit(at: Weighted, table: ScoreTable) -> list[Score]:
-    """The shortlist, and the changes that are over before the record is."""
-    return [*shortlist(at, table), *temporary_changes(at, table)]
+    """The shortlist, the changes that are over before the record is, and lags of all channels."""
+    short = shortlist(at, table)
+    return [*short, *temporary_changes(at, table), *lags_beside(at, table, short)]
 
 
 def _likes_of(table: ScoreTable, found: Sequence[Candidate]) -> list[Score]:
