@@ -43,11 +43,18 @@ def delays_of_best(
 ) -> list[Score]:
     """The delays of channels whose lags come among the best of those found, and vice versa.
 
+    Where the best itself is a lag or delay, that is every channel that is not far worse: a delay
+    that leads may stand for that of another channel, whose lag explains less as any lag does.
+
     Parameters
     ----------
     tried : what was refitted already, with success or without.
     """
-    least = COMPARISON.near_share * max((c.gain for c in found), default=0.0)
+    best = max(found, key=lambda c: c.gain, default=None)
+    if best is None:
+        return []
+    is_late = best.effect.kind in LATE
+    least = (COMPARISON.relative_gain if is_late else COMPARISON.near_share) * best.gain
     known = {s.effect.key for s in tried}
     sizes: dict[tuple[str, bool], float] = {}
     for c in sorted(found, key=lambda c: -c.gain):

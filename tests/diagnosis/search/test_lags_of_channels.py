@@ -21,7 +21,7 @@ from casid.diagnosis.search.lags_of_channels import delays_of_best, lags_beside
 from casid.diagnosis.search.rounds import Search, shortlist
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.model.effects.channel_effects import dead_time, sensor_lag, time_delay
+from casid.model.effects.channel_effects import dead_time, sensor_bias, sensor_lag, time_delay
 from casid.model.effects.effect import LATE, Effect
 from casid.model.effects.structure_effects import actuator_lag
 
@@ -152,19 +152,25 @@ def test_of_many_channels_the_lags_that_move_most_are_refitted():
     assert [s.effect.where for s in found] == [f"h{8 - i}" for i in range(SHORTLIST.lags)]
 
 
+def _found(score: Score, gain: float, size: float = 33.0) -> Any:
+    name = score.effect.parameters[0].name
+    fit = SimpleNamespace(values={name: size})
+    return SimpleNamespace(effect=score.effect, gain=gain, names=(name,), fit=fit)
+
+
 def test_a_dead_time_is_tried_where_the_lag_of_the_same_command_is_among_the_best():
     table = _table(
         conc=(12.0, 50.0), conc_late=(12.0, 50.0), coolant=(9.0, 1.0), coolant_dead=(9.0, 1.0)
     )
-    found: Any = [
-        SimpleNamespace(
-            effect=s.effect,
-            gain=gain,
-            names=(s.effect.parameters[0].name,),
-            fit=SimpleNamespace(values={s.effect.parameters[0].name: 33.0}),
-        )
-        for s, gain in ((table.tested[0], 40.0), (table.tested[2], 100.0))
-    ]
-    (late,) = delays_of_best(table, found, [table.tested[0], table.tested[2]])
-    assert (late.effect.key, late.step) == (("time_delay", "coolant: acts late"), 33.0)
+    conc, conc_late, coolant, coolant_dead = table.tested
+    found = [_found(conc, 20.0), _found(coolant, 100.0)]
+    (late,) = delays_of_best(table, found, [conc, coolant])
+    assert (late.effect.key, late.step) == (coolant_dead.effect.key, 33.0)
     assert not delays_of_best(table, found, table.tested)
+    # A delay leads, which may be that of the command.
+    found = [_found(conc_late, 100.0), _found(coolant, 40.0)]
+    (late,) = delays_of_best(table, found, [conc_late, coolant, conc])
+    assert late.effect.key == coolant_dead.effect.key
+    # Something else does, by far.
+    found = [_found(_score(sensor_bias(AT.model, "temp"), 1.0, 9.0), 100.0), _found(coolant, 40.0)]
+    assert not delays_of_best(table, found, [conc_late, coolant, conc])
