@@ -47,15 +47,13 @@ from casid.estimation.holdout import Split, why_worse
 from casid.estimation.local_rank import rank_of
 from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.effect import HYSTERESIS_SHAPE
+from casid.model.effects.effect import HYSTERESIS_SHAPE, LATE
 
 SHARPNESS = "the sharpness of dry friction"
 BLUNT = "the test of causes that a blunt reversal of dry friction brings about"
-POWERS = "the powers by which parameters change with states"
+POWERS = "the powers by which parameters change with states and channels"
 INSTANTS = "the instants of changes in the whole records"
 LEAVES_MORE = "it seems to imitate a better law, and leaves more than noise"
-LATE = ("time_delay", "sensor_lag", "actuator_lag")
-"""Kinds by which an input acts, or a sensor shows, later than in the model."""
 
 
 def adopt_causes(
