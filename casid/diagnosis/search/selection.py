@@ -376,7 +376,7 @@ class _Selection:
             self._take(self.search.attempts.attempt(what, partial(refine.in_motion, self.found)))
 
     def reshape(self, refine: Refinement) -> None:
-        """Let parameters change with the powers of states that suit the causes found by now."""
+        """Let parameters change with the powers of signals that suit the causes found by now."""
         powers = partial(with_better_powers, refine, self.found)
         self._take(self.search.attempts.attempt(POWERS, powers))
 
