@@ -403,7 +403,7 @@ def power_scheduled_parameter(
 
     def apply(new: Model, names: Sequence[str]) -> None:
         c = _signal(new, channel, unit, spread)
-        power = ca.exp(0.5 * new.symbol(names[0]) * ca.log((c**2 + small) / whole))
+        power = ((c**2 + small) / whole) ** (0.5 * new.symbol(names[0]))
         new.substitute_symbol(name, new.symbol(name) * power)
 
     shown = model.declared_units.get(channel, unit)
