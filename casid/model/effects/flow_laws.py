@@ -37,13 +37,10 @@ def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
     place = place_named(model, where)
     if place.is_mechanical or place.damping is None or typical <= 0.0:
         return None
-    small = carrying_unit((SMOOTHING.power * typical) ** 2)
-    whole = carrying_unit(typical**2 + small)
     d, C, name = place.velocity, place.damping, bracketed(place.velocity_name)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        power = ca.exp(0.5 * (new.symbol(names[0]) - 1) * ca.log((d**2 + small) / whole))
-        place.add(new, C * d * (1 - power))
+        place.add(new, C * d * (1 - rounded_power(d, typical, new.symbol(names[0]) - 1)))
 
     lower, upper = UNNAMED_EFFECTS.lowest_power, UNNAMED_EFFECTS.highest_power
     suffix = "".join(c if c.isalnum() else "_" for c in place.velocity_name)
@@ -219,11 +216,15 @@ def _flows_linear_in(model: Model, state: str, *, is_alone: bool = True) -> list
     return [] if is_motion else _linear_in(model, state, is_alone=is_alone)
 
 
+def rounded_power(x: Expr, typical: float, n: Expr) -> Expr:
+    """(|x| / typical)^n, rounded within a thousandth of `typical`, so that it is finite at 0."""
+    small = carrying_unit((SMOOTHING.power * typical) ** 2)
+    return ((x**2 + small) / (carrying_unit(typical**2) + small)) ** (0.5 * n)
+
+
 def _power(x: Expr, typical: float, n: Expr) -> Expr:
     """The power of a state in its place (see `power_law`)."""
-    small = carrying_unit((SMOOTHING.power * typical) ** 2)
-    whole = carrying_unit(typical**2 + small)
-    return x * ca.exp(0.5 * (n - 1) * ca.log((x**2 + small) / whole))
+    return x * rounded_power(x, typical, n - 1)
 
 
 def _exchange(

@@ -12,15 +12,10 @@ from casid.model.clock_signals import RampOver, StepAt
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Motion, Sizes, Spread
-from casid.model.effects.flow_laws import is_never_negative
+from casid.model.effects.flow_laws import is_never_negative, rounded_power
 from casid.model.effects.names import FOR_A_WHILE
 from casid.model.effects.place import is_amount, is_mechanical, is_zero, recorded_inputs
-from casid.model.effects.search_ranges import (
-    PARAMETER_JUMPS,
-    SATURATIONS,
-    SMOOTHING,
-    UNNAMED_EFFECTS,
-)
+from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS, UNNAMED_EFFECTS
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
 from casid.model.units import declared_quotient, from_si, same_dimension, unit_quotient
@@ -398,12 +393,10 @@ def power_scheduled_parameter(
     """
     most = UNNAMED_EFFECTS.highest_power
     n = Parameter(f"exponent_{name}_{channel}", "1", 0.0, lower=-most, upper=most)
-    small = carrying_unit((SMOOTHING.power * spread.mean) ** 2)
-    whole = carrying_unit(spread.mean**2) + small
 
     def apply(new: Model, names: Sequence[str]) -> None:
         c = _signal(new, channel, unit, spread)
-        power = ((c**2 + small) / whole) ** (0.5 * new.symbol(names[0]))
+        power = rounded_power(c, spread.mean, new.symbol(names[0]))
         new.substitute_symbol(name, new.symbol(name) * power)
 
     shown = model.declared_units.get(channel, unit)
