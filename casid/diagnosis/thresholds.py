@@ -825,6 +825,24 @@ _PRESELECTION = f"{TESTS}/search/test_preselection.py"
 
 
 @dataclass(frozen=True, slots=True)
+class Stops:
+    """Which stops are springs that harden."""
+
+    soft: float = _is(
+        0.1,
+        "of the stiffness beside it, below which a stop has to show its corner: one of a thirtieth "
+        "is mostly a spring that hardens, as the righting arm of a ship does",
+        f"{TESTS}/search/test_soft_stops.py",
+    )
+    rounded: float = _is(
+        0.1,
+        "of where it begins, over which a corner is rounded that is none: of a stop with a corner "
+        "that is tens of units of log-likelihood, of a spring that hardens a gain",
+        f"{TESTS}/search/test_soft_stops.py",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Bursts:
     """The stretch of a record in which most of its misfit lies, at whose start jumps are tried."""
 
@@ -913,12 +931,6 @@ class Rounds:
     frictions: int = _is(
         2,
         "laws of friction or damping adopted in one place: a third repairs their shape",
-        f"{TESTS}/search/test_imitations.py",
-    )
-    stop: float = _is(
-        0.1,
-        "of the stiffness beside it, at least, that a stop has: one of a thirtieth is a spring "
-        "that hardens, as the righting arm of a ship does",
         f"{TESTS}/search/test_imitations.py",
     )
     backward_wald: float = _is(
@@ -1340,6 +1352,7 @@ REFITS = Refits()
 RESTARTS = Restarts()
 JUMPS = Jumps()
 FRICTION = Friction()
+STOPS = Stops()
 BURSTS = Bursts()
 SHORTLIST = Shortlist()
 ROUNDS = Rounds()

@@ -15,7 +15,6 @@ import numpy as np
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import FRICTION, PEAKS, ROUNDS
-from casid.model.effects.balance_effects import stiffness_of
 from casid.model.effects.effect import Effect
 from casid.model.effects.places import place_named
 
@@ -67,23 +66,6 @@ def drives_one_way(effect: Effect, at: Weighted) -> bool:
     near, far = (resistance(share) for share in FRICTION.speeds)
     # What stays of it towards rest; of one in proportion to speed, nothing.
     return not 2.0 * near - far > FRICTION.share * abs(near)
-
-
-def is_soft_stop(at: Weighted, found: Candidate) -> bool:
-    """True of a stop that is far softer than the spring beside it: that one hardens somewhere.
-
-    Both in the unit of the place over its position's; at the parameters found.
-    """
-    if found.effect.kind != "end_stop":
-        return False
-    place = place_named(at.model, found.effect.where)
-    spring = stiffness_of(at.model, place) if place.is_mechanical else None
-    if spring is None:
-        return False
-    symbols = ca.symvar(spring)
-    values = [found.fit.values.get(s.name(), 0.0) for s in symbols]
-    own = float(ca.substitute(spring, ca.vertcat(ca.SX(0, 1), *symbols), ca.DM(values)))
-    return found.fit.values[found.names[0]] < ROUNDS.stop * own
 
 
 def is_at_resonance(at: Weighted, frequency: float) -> bool:

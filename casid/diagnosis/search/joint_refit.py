@@ -22,7 +22,6 @@ from casid.diagnosis.evidence.prewhitening import (
 )
 from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
-from casid.diagnosis.search.imitations import is_soft_stop
 from casid.diagnosis.solvers import COMPARED
 from casid.diagnosis.thresholds import REFITS, RESTARTS
 from casid.errors import SolveError
@@ -283,10 +282,10 @@ def _is_farther(at: Weighted, fit: Fit) -> bool:
 
 
 def _is_plausible(at: Weighted, found: Candidate) -> bool:
-    """False of an effect below its least size, and of a stop that is no stop."""
+    """False of an effect below its least size."""
     effect = found.effect
     size = found.fit.values[found.names[0]] - effect.parameters[0].start
-    return abs(size) >= effect.constants.get("least", 0.0) and not is_soft_stop(at, found)
+    return abs(size) >= effect.constants.get("least", 0.0)
 
 
 def _known(criterion: SimulationError, best: Candidate | None) -> tuple[float, ...]:

@@ -40,6 +40,7 @@ from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.lags_of_channels import delays_of_best, lags_beside
 from casid.diagnosis.search.memory import Memory
 from casid.diagnosis.search.preselection import Start, preselected
+from casid.diagnosis.search.soft_stops import without_soft_stops
 from casid.diagnosis.search.swinging_parts import beside_lines
 from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.settings import Progress
@@ -239,6 +240,7 @@ class Search:
             found = beside_lines(refitting, at, found, self.progress)
         found = sorted(on_common_samples(found), key=lambda c: -c.merit)
         found = list({c.effect.key: c for c in reversed(found)}.values())[::-1]  # the best of each
+        found = without_soft_stops(refitting, at, found, self.progress)
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
         what = "the comparison of the candidates"
         return attempt(what, lambda: ranked(refitting, at, found)) or found

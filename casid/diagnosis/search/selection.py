@@ -41,6 +41,7 @@ from casid.diagnosis.search.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
+from casid.diagnosis.search.soft_stops import is_soft_stop
 from casid.diagnosis.search.swinging_parts import may_move
 from casid.diagnosis.thresholds import BUDGET, COMPARISON, FRICTION, ROUNDS
 from casid.estimation.holdout import Split, why_worse
@@ -215,7 +216,7 @@ class _Selection:
             causes = without_imitations(found, significant, by_likelihood=beside)
 
         def adoptable(best: Candidate) -> Adopted:
-            others = [c for c in found if c is best or c.effect.shape != HYSTERESIS_SHAPE]
+            others = [c for c in found if c is best or not _is_alone(at, c)]
             rivals, near = rivals_of(at, best, others), near_ones(at, best, causes)
             return Adopted(best, p_values[best.effect.key], rivals, at, is_alarm, near=near)
 
@@ -272,6 +273,7 @@ class _Selection:
         if why := _why_undetermined(self.fit, fit, best):
             return why
         fit, at = weighed_whole(weighing, fit, self.settings)
+        leaves_noise = leaves_noise or is_soft_stop(self.at, best)
         if leaves_noise and not is_noise_alone(at, self.search):
             return LEAVES_MORE
         if is_disturbed:
@@ -402,6 +404,11 @@ class _Selection:
         self.adopted[-1] = exchanged(taken, other)
         self.errors, self.fit, self.at = errors, fit, instead
         return True
+
+
+def _is_alone(at: Weighted, c: Candidate) -> bool:
+    """True of what is no rival of others, which its freedom, or its corner, imitates."""
+    return c.effect.shape == HYSTERESIS_SHAPE or is_soft_stop(at, c)
 
 
 def _may_act_together(first: Candidate, second: Candidate) -> bool:

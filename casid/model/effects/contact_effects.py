@@ -20,7 +20,7 @@ from casid.model.model import Model
 from casid.model.units import unit_quotient
 
 Side = Literal["both", "symmetric", "upper", "lower"]
-_VARIANT = {"both": 0.0, "symmetric": 2.0, "upper": 1.0, "lower": -1.0}
+_VARIANT: Mapping[Side, float] = {"both": 0.0, "symmetric": 2.0, "upper": 1.0, "lower": -1.0}
 _LIMITS: Mapping[Side, Mapping[str, float]] = {
     "upper": {"limit": 1.0},
     "lower": {"limit": -1.0},
@@ -62,17 +62,36 @@ def end_stop(
     start : of `reach`, how far from the middle the search for the positions starts.
     """
     place = place_named(model, where)
-    q, name, unit = place.position, place.position_name, place.position_unit
+    q, _, unit = _content_of(place)
     if q is None:
-        if place.is_mechanical or place.velocity is None:
-            return None
-        q, name, unit = place.velocity, place.velocity_name, place.velocity_unit
+        return None
     if side == "symmetric":
         if abs(middle) > CONTACT_RANGES.two * reach:
             return None
         middle = 0.0
-    positions = _positions(side, unit, middle, reach, start)
     stiffness = Parameter("k_stop", unit_quotient(place.unit, unit, 1), 0.0, lower=0.0)
+    positions = _positions(side, unit, middle, reach, start)
+    return _stop_of(model, place, side, (stiffness, *positions), width)
+
+
+def rounded_stop(model: Model, stop: Effect, width: float) -> Effect:
+    """The same stop with a corner rounded over `width` (position's SI unit)."""
+    side = next(side for side, variant in _VARIANT.items() if variant == stop.variant)
+    return _stop_of(model, place_named(model, stop.where), side, stop.parameters, width)
+
+
+def _content_of(place: Place) -> tuple[ca.SX | None, str, str]:
+    """What a stop limits, its name and its unit: a position, or what a store contains."""
+    if place.position is None and not place.is_mechanical:
+        return place.velocity, place.velocity_name, place.velocity_unit
+    return place.position, place.position_name, place.position_unit
+
+
+def _stop_of(
+    model: Model, place: Place, side: Side, parameters: tuple[Parameter, ...], width: float
+) -> Effect:
+    """The effect; its parameters are the stiffness and the positions."""
+    q, name, _ = _content_of(place)
     square = carrying_unit(width**2)
 
     def apply(new: Model, names: Sequence[str]) -> None:
@@ -90,14 +109,14 @@ def end_stop(
     return Effect(
         "end_stop",
         place.where,
-        (stiffness, *positions),
+        parameters,
         apply,
         sided="positive",
         variant=_VARIANT[side],
-        cost=1 + len(positions),
+        cost=len(parameters),
         description=acts,
         constants={"width": width},
-        declared_units={p.name: shown for p in positions} if shown else {},
+        declared_units={p.name: shown for p in parameters[1:]} if shown else {},
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
-from casid.diagnosis.search.imitations import is_at_resonance, is_further_friction, is_soft_stop
+from casid.diagnosis.search.imitations import is_at_resonance, is_further_friction
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import (
     coulomb_friction,
@@ -19,7 +19,6 @@ from casid.model.effects.balance_effects import (
     offset,
     quadratic_damping,
 )
-from casid.model.effects.contact_effects import end_stop
 from problems import roll_decay
 
 
@@ -61,15 +60,3 @@ def test_a_third_law_of_friction_in_one_place_is_no_candidate():
     assert not is_further_friction(replace(third, where="another"), [first, second])
     for other in (offset(model, "torque"), cubic_stiffness(model, "torque")):
         assert not is_further_friction(other, [first, second])
-
-
-@pytest.mark.parametrize(("stiffness", "is_soft"), [(0.21, True), (0.6, True), (0.62, False)])
-def test_a_stop_is_no_softer_than_a_tenth_of_the_spring_beside_it(stiffness, is_soft):
-    """The restoring stiffness is 6.06 1/s^2; a hull whose righting arm grows has no stop."""
-    at = decay()
-    effect = end_stop(at.model, "torque", "symmetric", 0.0, 0.2, 0.01)
-    assert effect is not None
-    values = {**at.fit.values, "C_1": 6.06, "k_stop": stiffness, "limit": 0.1}
-    found = SimpleNamespace(effect=effect, names=("k_stop", "limit"))
-    found.fit = SimpleNamespace(values=values)
-    assert is_soft_stop(at, found) is is_soft
