@@ -37,6 +37,7 @@ from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     Soundness,
+    is_as_good_held_out,
     simulation_errors,
     why_much_worse,
     why_not_adopted,
@@ -267,6 +268,11 @@ class _Selection:
         errors = simulation_errors(fit, self.split, self.units) if fit else self._errors(best)
         why = why_not_adopted(self.errors, errors, is_alarm=news[0].is_alarm)
         why = why or why_worse(self.before.continued, errors.continued)
+        if why and is_disturbed and is_as_good_held_out(self.errors, errors):
+            # Whether it foretells what was held out, the motion that is simulated may show.
+            fit = whole()
+            old, new = (simulation_errors(f, self.split, self.units) for f in (self.fit, fit))
+            why = why_not_adopted(old, new)
         if why:
             return why
         fit = fit or whole()

@@ -161,6 +161,16 @@ def why_not_adopted(
     return why_held_out(before, after, is_alarm=is_alarm, room=room)
 
 
+def is_as_good_held_out(before: SimulationErrors, after: SimulationErrors) -> bool:
+    """True of a held-out error that rises by less than `ROUNDS.overfit` of what one fitted falls.
+
+    Whitened by a disturbance, what was held out may be too short to tell: see `why_not_adopted`.
+    """
+    falls = float(np.nanmean(before.fitted**2) - np.nanmean(after.fitted**2))
+    rises = float(np.nanmean(after.continued**2) - np.nanmean(before.continued**2))
+    return rises < ROUNDS.overfit * falls
+
+
 class Soundness:
     """Whether a model simulates all that was measured, no worse than the model as it is.
 

@@ -72,3 +72,14 @@ def test_a_heat_capacity_that_jumps_in_a_disturbance_is_named() -> None:
     assert jump.value == pytest.approx(true, abs=3 * jump.std_error)
     assert jump.std_error < 0.1 * abs(true)
     assert [d.where for d in found.disturbances] == ["tank_heat"]
+
+
+@pytest.mark.slow
+def test_friction_is_named_in_a_sea_that_hides_what_it_foretells() -> None:
+    """Whitened by the sea, what was held out cannot tell; the simulated motion errs by half."""
+    case = Case("hull", 3129, 0)
+    system, problem = system_and_problem(case)
+    found = casid.diagnose(problem, record_of(make(case, system)), advise=False)
+    assert [(c.kind, c.where) for c in found.causes] == [("coulomb_friction", "moment")]
+    before, after = (found.held_out[f"{of}_rmse"]["roll"] for of in ("baseline", "extended"))
+    assert after < 0.6 * before

@@ -16,6 +16,7 @@ from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     Soundness,
     growth_by_disturbance,
+    is_as_good_held_out,
     is_predicted,
     on_common_samples,
     simulation_errors,
@@ -46,6 +47,14 @@ BEFORE = errors(1.0, 1.0, 1.0)
 
 def test_an_extension_that_lowers_all_three_errors_is_adopted():
     assert why_not_adopted(BEFORE, errors(0.1, 0.1, 0.1)) == ""
+
+
+@pytest.mark.parametrize(("continued", "is_as_good"), [(0.9, True), (1.04, True), (1.1, False)])
+def test_a_held_out_error_may_rise_by_a_tenth_of_what_that_of_the_fitted_part_falls(
+    continued: float, is_as_good: bool
+) -> None:
+    """The swing's squares fall by 0.99 where it was fitted; 1.04^2 is 0.08 more than one."""
+    assert is_as_good_held_out(BEFORE, errors(0.1, continued, 1.0)) is is_as_good
 
 
 @pytest.mark.parametrize(
