@@ -51,7 +51,7 @@ from casid.diagnosis.search.simulation_errors import (
 )
 from casid.diagnosis.search.swinging_parts import in_motion, may_move
 from casid.diagnosis.thresholds import JUDGING, JUMPS, ROUNDS
-from casid.estimation.holdout import Split
+from casid.estimation.holdout import Split, why_worse
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 from casid.model.model import Model
@@ -382,10 +382,17 @@ class Refinement:
         return self.refined(replace(found, remainders=again(found.remainders)), again(kept), fit)
 
     def _is_astray(self, whole: Fit | None, lean: Fit) -> bool:
-        """True of a fit without some effects that loses what they cannot have explained."""
+        """True of a fit without some effects that loses what they cannot have explained.
+
+        So it is of one that foretells what was held out worse than the model as it is, which
+        they do not.
+        """
         assert whole is not None
         old, new = self._compared(whole, lean)
         bare, *_ = on_common_samples(self.before, old)
+        worse = [why_worse(bare.continued, errors.continued) for errors in (old, new)]
+        if worse[1] and not worse[0]:
+            return True
         return not new.square - old.square <= ROUNDS.lean * (bare.square - old.square)
 
     def refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:

@@ -265,6 +265,25 @@ def test_a_leaner_model_whose_fit_went_astray_is_not_taken():
     assert of._lean(found, found.adopted[1:], of.start.fit) is found
 
 
+def test_a_leaner_model_that_foretells_worse_than_the_model_as_it_is_is_not_taken(monkeypatch):
+    """Of two that only together foretell what was held out neither is superfluous."""
+    of = refinement(0.07)
+    first = hardening(of)
+    found = adopted(of, first, beside(of, first, quadratic_damping(first.model, "torque"), 0.05))
+    one = adopted(of, first).fit
+    sizes = {id(of.base): 1.0, id(found.fit): 0.5, id(one): 2.0}
+
+    def foretelling(fit, split, units):
+        errors = simulation_errors(found.fit, split, units)
+        return replace(errors, continued=sizes[id(fit)] * np.ones_like(errors.continued))
+
+    monkeypatch.setattr(f"{MODULE}.simulation_errors", foretelling)
+    of = replace(of)  # its errors of the model as it is anew
+    assert of._is_astray(found.fit, one)
+    sizes[id(one)] = 0.9
+    assert not of._is_astray(found.fit, one)
+
+
 def test_an_effect_that_an_output_shows_is_a_cause_beside_a_far_larger_one_of_another():
     """Two lags that share nothing: a constant in one errs a hundred times as far as in the other.
 
