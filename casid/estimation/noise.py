@@ -409,6 +409,11 @@ def _least(a: Array, b: Array, near: Array) -> Array:
             # Lawson and Hanson's condition, columns of unit size: none held at zero would grow.
             if np.all(a[:, held].T @ (b - a @ x) <= 1e-12 * np.linalg.norm(b)):
                 return x
+    return non_negative(a, b)
+
+
+def non_negative(a: Array, b: Array) -> Array:
+    """(k,) non-negative x that minimises |a x - b|, for a (B, k) and b (B,)."""
     try:
         return np.asarray(nnls(a, b)[0])
     except RuntimeError:  # its active set cycles where columns are nearly dependent

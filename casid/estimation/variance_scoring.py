@@ -1,20 +1,16 @@
 """Variances under many spectra of one force at once: a grid of shapes is compared in one pass.
 
 The same scoring as `noise.variances`, a candidate a slice: its steps are weighted least squares
-without negative variances, in as many unknowns as there are sources of noise. These are few: where
-exchanging zeros does not end, every choice of them is tried, and the feasible one of the smallest
-error is the solution.
+without negative variances, in as many unknowns as there are sources of noise, all candidates at
+once; those for which exchanging zeros does not end are solved one by one.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from itertools import product
-
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.estimation.noise import variances, whittle
+from casid.estimation.noise import non_negative
 from casid.estimation.residual_spectra import Spectra, restricted
 
 STEPS = 60
@@ -22,12 +18,8 @@ STEPS = 60
 HALVED, STALLED = 3, 10
 """Half steps are made before the first of these, where they are long, and after the second, where
 whole ones go back and forth."""
-ENUMERATED = 7
-"""Free variances up to which every choice of zeros is tried: two sensors, two measured inputs and
-two forces are six, and 126 choices of a small system are solved together in less time than one
-spectrum's is alone."""
 EXCHANGES = 4
-"""Of zeros, before every choice is tried: two are enough as a rule."""
+"""Of zeros, before a slice is solved alone: two are enough as a rule."""
 RIDGE = 1e-12
 """Of columns of unit size, which keeps equations of dependent ones regular."""
 
@@ -42,19 +34,18 @@ def likelihoods(spectra: Spectra, design: Array, given: Array, tolerance: float)
     tolerance : relative change of the spectrum at which the scoring of a design ends.
     """
     free = ~np.isfinite(given)
-    if not 0 < np.sum(free) <= ENUMERATED:
-        return np.array([_one(spectra, d, given, tolerance) for d in design])
     power, count, floor = spectra.power, spectra.count, spectra.floor
     offset = design[:, :, ~free] @ given[~free]
     columns = design[:, :, free]
     s = np.maximum(power, 1e-4 * floor) + offset
     solution = np.zeros((len(design), columns.shape[2]))
-    moving = np.arange(len(design))
+    kept, moving = np.ones(solution.shape, dtype=bool), np.arange(len(design))
     for k in range(STEPS):
         weight = np.sqrt(count) / s[moving]
         own = columns[moving] * weight[:, :, None]
         target = np.maximum(power - offset[moving], 0.0) * weight
-        new = _least(own, target)
+        new = _least(own, target, kept[moving])
+        kept[moving] = new > 0.0
         share = 1.0 if k == 0 or HALVED <= k < STALLED else 0.5
         solution[moving] += share * (new - solution[moving])
         after = (columns[moving] @ solution[moving][:, :, None])[:, :, 0] + offset[moving]
@@ -66,23 +57,19 @@ def likelihoods(spectra: Spectra, design: Array, given: Array, tolerance: float)
     return np.asarray((np.log(s) + power / s) @ count) + restricted(spectra, s)
 
 
-def _one(spectra: Spectra, design: Array, given: Array, tolerance: float) -> float:
-    own = replace(spectra, design=design)
-    return whittle(own, variances(own, given, tolerance=tolerance))
-
-
-def _least(a: Array, b: Array) -> Array:
+def _least(a: Array, b: Array, kept: Array) -> Array:
     """(G, k) non-negative x that minimise |a x - b| for a (G, B, k) and b (G, B).
 
     By exchanging all unknowns of the wrong sign at once: those below zero for those that would rise
-    from it (Judice and Pires, Comput. Oper. Res. 21 (1994) 587-596); few slices need every choice.
+    from it (Judice and Pires, Comput. Oper. Res. 21 (1994) 587-596), at first those not
+    `kept` (G, k).
     """
     turned = a.transpose(0, 2, 1)
     normal, right = turned @ a, (turned @ b[:, :, None])[:, :, 0]
     scale = np.sqrt(np.einsum("gkk->gk", normal)) + TINY
     normal = normal / (scale[:, :, None] * scale[:, None, :]) + RIDGE * np.eye(a.shape[2])
     right = right / scale
-    x, kept, open_ = np.zeros(right.shape), np.ones(right.shape, dtype=bool), np.arange(len(right))
+    x, kept, open_ = np.zeros(right.shape), kept.copy(), np.arange(len(right))
     for _ in range(EXCHANGES):
         x[open_] = _of_those(normal[open_], right[open_], kept[open_].astype(float))
         slope = right[open_] - (normal[open_] @ x[open_][:, :, None])[:, :, 0]
@@ -92,7 +79,8 @@ def _least(a: Array, b: Array) -> Array:
         if not open_.size:
             break
     if open_.size:
-        x[open_] = _with_zeros(normal[open_], right[open_])
+        unit = a[open_] / scale[open_, None, :]
+        x[open_] = [non_negative(*of_one) for of_one in zip(unit, b[open_], strict=True)]
     return np.asarray(x / scale)
 
 
@@ -101,13 +89,3 @@ def _of_those(normal: Array, right: Array, kept: Array) -> Array:
     held = (1.0 - kept)[..., None] * np.eye(right.shape[-1])
     among = normal * (kept[..., :, None] * kept[..., None, :]) + held
     return np.asarray(np.linalg.solve(among, (right * kept)[..., None])[..., 0])
-
-
-def _with_zeros(normal: Array, right: Array) -> Array:
-    """(G, k) the best of all choices of zeros, of normal equations (G, k, k) and (G, k)."""
-    kept = np.array(list(product((1.0, 0.0), repeat=right.shape[1])))[1:-1]  # (choices, k)
-    x = _of_those(normal[:, None], right[:, None], kept)
-    # At a solution with its own zeros |a x - b|^2 falls by right' x.
-    fall = np.where(np.all(x >= 0.0, axis=2), np.einsum("gk,gck->gc", right, x), 0.0)
-    best, rows = np.argmax(fall, axis=1), np.arange(len(right))
-    return np.where(fall[rows, best][:, None] > 0.0, x[rows, best], 0.0)
