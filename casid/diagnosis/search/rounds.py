@@ -238,8 +238,7 @@ class Search:
                 return found
             found = sharpened(refitting, at, found, self.progress)
             found = beside_lines(refitting, at, found, self.progress)
-        found = sorted(on_common_samples(found), key=lambda c: -c.merit)
-        found = list({c.effect.key: c for c in reversed(found)}.values())[::-1]  # the best of each
+        found = _best_of_each(on_common_samples(found))
         found = without_soft_stops(refitting, at, found, self.progress)
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
         what = "the comparison of the candidates"
@@ -292,6 +291,14 @@ class Search:
         promises = (s.unrobust for s in table.tested if name_of(s.effect) in waiting)
         promised = max(promises, default=0.0)
         return max(c.gain for c in found) >= promised
+
+
+def _best_of_each(found: Sequence[Candidate]) -> list[Candidate]:
+    """The best candidate of each effect, best first: it may have several variants."""
+    best: dict[tuple[str, str], Candidate] = {}
+    for c in sorted(found, key=lambda c: -c.merit):
+        best.setdefault(c.effect.key, c)
+    return list(best.values())
 
 
 def scores_to_refit(at: Weighted, table: ScoreTable) -> list[Score]:
