@@ -97,7 +97,7 @@ class Linearised:
     def motions(self, sd: Array, seed: int) -> list[list[Motion]]:
         """Every record as it is and, where inputs are noisy, with a draw added and taken away.
 
-        `sd` (nu,) is the white noise of the inputs.
+        `sd` (nu,) is the white noise of the inputs; the draw is `SCORES.drawn_share` of it.
         """
         key = sd.tobytes(), seed
         if key not in self._motions:
@@ -106,7 +106,7 @@ class Linearised:
             for k, d in enumerate(criterion.data):
                 own = [Motion(self, k, d, criterion.simulated(x, k))]
                 if np.any(sd > 0):
-                    w = sd * rng.standard_normal((d.N, len(sd)))
+                    w = SCORES.drawn_share * sd * rng.standard_normal((d.N, len(sd)))
                     for sign in (1.0, -1.0):
                         noisy = replace(d, u=d.u + sign * w)
                         run = criterion.simulated(x, k, signals=noisy)

@@ -78,20 +78,24 @@ class Columns:
         return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])
 
     def antithetic(
-        self, x: Array, k: int, sd: Array, rng: np.random.Generator
+        self, x: Array, k: int, sd: Array, rng: np.random.Generator, share: float = 1.0
     ) -> tuple[Array, Array, Array]:
         """What one draw of noise on the inputs adds to `of_record`, its even part left out.
+
+        The draw is a `share` of the noise, and what it adds is scaled up. The record has noise of
+        its own already: with a whole draw more, a function with a kink where an input rests, as the
+        sign of a rate, shows 1/sqrt(2) of what that noise gives to it.
 
         Channels without noise take no part in the draw: candidates that bring one leave it as it
         is.
         """
         w = np.zeros(self.wide.data[k].u.shape)
         noisy = np.flatnonzero(sd > 0)
-        w[:, noisy] = sd[noisy] * rng.standard_normal((len(w), len(noisy)))
+        w[:, noisy] = share * sd[noisy] * rng.standard_normal((len(w), len(noisy)))
         up, down = (self.of_record(x, k, sign * w) for sign in (1.0, -1.0))
         for above, below in zip(up, down, strict=True):
             above -= below
-            above *= 0.5
+            above *= 0.5 / share
         return up
 
 

@@ -104,7 +104,7 @@ class Regression:
             own, *noisy = (self._stack(motion) for motion in motions)
             parts.append(own)
             if noisy:
-                drawn.append(0.5 * (noisy[0] - noisy[1]))
+                drawn.append((noisy[0] - noisy[1]) / (2 * SCORES.drawn_share))
         whole = np.concatenate(parts)
         n = len(x)
         self.e, self.tangent, self.psi = whole[:, 0], whole[:, 1 : 1 + n], whole[:, 1 + n :]

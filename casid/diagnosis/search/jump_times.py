@@ -38,7 +38,7 @@ def placed(
     ----------
     known : instants of the events known already [s], near which no jump is placed.
     """
-    top = max(c.gain for c in found)
+    top = max((c.gain for c in found), default=0.0)
     out, instant = [], None
     for c in sorted(found, key=lambda c: -c.gain):
         if c.effect.end is not None and c.gain > JUMPS.promising * top:

@@ -7,7 +7,8 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
-from casid.diagnosis.search.jump_times import is_known_event
+from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.search.jump_times import is_known_event, placed
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.parameter_effects import parameter_jump
 
@@ -60,6 +61,14 @@ def test_a_jump_in_the_second_record_is_found_where_it_is():
     assert found["time"].value == pytest.approx(JUMP, abs=3 * TS)
     jump = found["jump_k"]
     assert jump.value == pytest.approx(0.3, abs=3 * jump.std_error)
+
+
+def test_where_no_refit_succeeded_nothing_is_placed():
+    experiments = [casid.Experiment(run())]
+    weighing = Weighing(experiments)
+    fit = fit_model(leak().model, experiments, FitSettings(starts=1))
+    at = weighing.weigh(leak().model, fit)
+    assert placed(Refitting(weighing), at, [], (), lambda _: None) == []
 
 
 @pytest.mark.slow
