@@ -7,13 +7,14 @@ criterion charges for its parameters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.estimation.common_disturbance import CommonSearch
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.missing_samples import FILLED_FROM, unbroken
 from casid.estimation.noise import (
@@ -24,7 +25,7 @@ from casid.estimation.noise import (
     whittle,
     with_rounding,
 )
-from casid.estimation.noise_response import Response, places_of_forces
+from casid.estimation.noise_response import Response, joined, places_of_forces
 from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of, with_tangent
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.variance_scoring import likelihoods
@@ -73,10 +74,12 @@ def with_disturbance_spectra(
     residuals: Sequence[Array] | None = None,
     is_simple: bool = False,
     near: Mapping[str, DisturbanceSpectrum] | None = None,
+    has_common: bool = True,
 ) -> NoiseModel:
     """The noise of the residual at `x` with forces that are not white where it shows such.
 
-    Forces in several places are taken up one after another, the one that gains most first.
+    Forces in several places are taken up one after another, the one that gains most first; one
+    force that acts in several balances takes their places where it is likelier.
 
     Parameters
     ----------
@@ -84,6 +87,7 @@ def with_disturbance_spectra(
     known, residuals : as for `estimate_noise`.
     is_simple : no force has a spectrum with a peak.
     near : spectra found at a point close by; they are adjusted, and no other is sought.
+    has_common : whether one force may act in several balances.
     """
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
@@ -95,7 +99,7 @@ def with_disturbance_spectra(
         criterion,
         known=known,
         moved=_sensitivities(criterion, x),
-        simple=is_simple,
+        allowed=_Allowed(peaks=not is_simple, common=has_common),
         near=near or {},
     )
     found = searched(residuals, used)
@@ -128,6 +132,14 @@ def _rough(residuals: Sequence[Array], used: Sequence[BoolArray]) -> Array:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Allowed:
+    """Whether spectra may have peaks, and whether one force may act in several balances."""
+
+    peaks: bool
+    common: bool
+
+
 def _searched(
     noise: NoiseModel,
     criterion: SimulationError,
@@ -136,7 +148,7 @@ def _searched(
     *,
     known: Mapping[str, float],
     moved: Sequence[Array],
-    simple: bool,
+    allowed: _Allowed,
     near: Mapping[str, DisturbanceSpectrum],
 ) -> NoiseModel:
     """The noise with the spectra of forces that residuals (N, ny) have in the samples `used`.
@@ -144,15 +156,15 @@ def _searched(
     Parameters
     ----------
     moved : (N, ny, n) an experiment, what parameters that were fitted change of them.
-    simple : no spectrum has a peak.
     near : spectra to be adjusted, where no other is sought.
     """
     # Without a taper the ends of a slow and large motion leak over the noise of the sensors.
-    residuals = [_tapered(r) for r in residuals]
+    tapered = [_tapered(r) for r in residuals]
     windows = [u if u.all() else _tapered(1.0 * u) for u in used]
     envelopes = [_tapered(np.ones(u.shape)) for u in used]
-    sources, outputs = noise.responses[0].sources, tuple(criterion.outputs)
-    spectra = spectra_of(residuals, noise.responses, sources, len(outputs), windows, envelopes)
+    base, noise, outputs = noise, _joined(noise, near), tuple(criterion.outputs)
+    sources = noise.responses[0].sources
+    spectra = spectra_of(tapered, noise.responses, sources, len(outputs), windows, envelopes)
     columns = [_tapered(m * u[:, :, None]) for m, u in zip(moved, used, strict=True)]
     search = _Search(
         noise,
@@ -161,8 +173,29 @@ def _searched(
         known,
         known_sources(known, criterion.model),
         outputs,
-        WIDTHS if not simple else (),
+        WIDTHS if allowed.peaks else (),
     )
+    together = partial(_together, search, base, criterion, residuals, used)
+    if any(s.parts for s in near.values()):
+        found = search.noise_of(near, search.fitted(near)[1])
+        return together(found, is_near=True) or found
+    return _greedily(search, criterion, near, together if allowed.common else None)
+
+
+def _greedily(
+    search: _Search,
+    criterion: SimulationError,
+    near: Mapping[str, DisturbanceSpectrum],
+    together: Callable[[NoiseModel], NoiseModel | None] | None,
+) -> NoiseModel:
+    """The noise with forces of one place each, or one in several in their place.
+
+    Parameters
+    ----------
+    near : as for `_searched`.
+    together : seeks one in several; None: it is not sought.
+    """
+    noise = search.noise
     chosen: dict[str, DisturbanceSpectrum] = {}
     best = search.fitted(chosen)
     if near:
@@ -177,7 +210,56 @@ def _searched(
         if top is None or top[0] >= best[0]:
             break
         best, chosen = (top[0], top[1]), top[2]
-    return search.noise_of(chosen, best[1]) if chosen else noise
+    if not chosen:
+        return noise
+    found = search.noise_of(chosen, best[1])
+    return (together(found) if together else None) or found
+
+
+def _joined(noise: NoiseModel, found: Mapping[str, DisturbanceSpectrum]) -> NoiseModel:
+    """The same with one more source for each force that acts in several balances."""
+    responses = [joined(r, found) for r in noise.responses]
+    source_sd = {n: noise.source_sd.get(n, 0.0) for n in responses[0].sources}
+    return replace(noise, responses=responses, source_sd=source_sd)
+
+
+def _together(
+    search: _Search,
+    base: NoiseModel,
+    criterion: SimulationError,
+    residuals: Sequence[Array],
+    used: Sequence[BoolArray],
+    chosen: NoiseModel,
+    *,
+    is_near: bool = False,
+) -> NoiseModel | None:
+    """The noise with a force in several balances; None where independent ones are as likely.
+
+    Parameters
+    ----------
+    base : the noise of white forces, each in one balance.
+    chosen : that with spectra; `is_near`: one of a force in several balances, which is adjusted.
+    """
+    rows = [unbroken(u) for u in used]
+    if len(criterion.outputs) < 2 or any(r.cross is not None for r in base.responses):
+        return None
+    if any(row is None and not u.all() for row, u in zip(rows, used, strict=True)):
+        return None
+    of = CommonSearch(
+        base,
+        [r[row or slice(None)] for r, row in zip(residuals, rows, strict=True)],
+        [d.Ts for d in criterion.data],
+        search.outputs,
+        list(criterion.model.balances),
+        (search.known, search.known_inputs),
+    )
+    found = of.adjusted(chosen) if is_near else of.best(chosen)
+    if found is None or not any(s.parts for s in found.spectra.values()):
+        return None
+    every = replace(search, noise=_joined(base, found.spectra))
+    value = [*found.output_sd**2]
+    value += [found.source_sd.get(n, 0.0) ** 2 for n in every._sources(found.spectra)]
+    return every.noise_of(found.spectra, np.array(value))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

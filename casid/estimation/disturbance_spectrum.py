@@ -6,6 +6,8 @@
 
 with w_0 the corner or the peak, zeta half the relative width of the peak. (3) is the usual linear
 model of a sea (Fossen 2011, section 8.2.6).
+
+One force may act in several balances, in a fixed ratio: a crosswind pushes a car and turns it.
 """
 
 from __future__ import annotations
@@ -22,6 +24,21 @@ GRID = 4001
 
 
 @dataclass(frozen=True, slots=True)
+class Part:
+    """What one force does in one of the balances in which it acts.
+
+    Attributes
+    ----------
+    ratio : of what it does there to what it does in the first of them, in SI.
+    error : standard error of the ratio.
+    """
+
+    place: str
+    ratio: float
+    error: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class DisturbanceSpectrum:
     """One of the three.
 
@@ -30,11 +47,13 @@ class DisturbanceSpectrum:
     frequency : w_0 [rad/s].
     damping : zeta; None: (1).
     is_band : (3), without power at low frequencies.
+    parts : of a force that acts in several balances; empty of one that acts in one.
     """
 
     frequency: float
     damping: float | None = None
     is_band: bool = False
+    parts: tuple[Part, ...] = ()
 
     def at(self, omega: Array, Ts: float) -> Array:
         """The spectrum (F,) of unit variance a sample at `omega` [rad/sample], even from 0 to pi.

@@ -7,7 +7,7 @@ speed. Whatever acts in one balance alone moves two outputs in proportion, frequ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from casid.arrays import Array
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part
 from casid.estimation.filled_noise import filled_spectrum
 from casid.estimation.simulation.band_limited import responses_between
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
@@ -132,6 +133,37 @@ def _with_spectra(found: Response, cross: Array) -> Response:
     phase = np.divide(found.gain, size, out=np.ones_like(found.gain), where=size > 0.0)
     gain = phase * np.sqrt(gain2)
     return replace(found, gain2=gain2, gain=gain, cross=cross)
+
+
+def joined(r: Response, spectra: Mapping[str, DisturbanceSpectrum]) -> Response:
+    """The response with one more source for each force that acts in several balances."""
+    for name, parts in _of_several(r.sources, spectra):
+        assert r.gain is not None
+        gain = np.concatenate([r.gain, _together(r.gain, r.sources, parts)], axis=2)
+        r = replace(r, sources=(*r.sources, name), gain=gain, gain2=np.abs(gain) ** 2)
+    return r
+
+
+def joined_steps(steps: Steps, spectra: Mapping[str, DisturbanceSpectrum]) -> Steps:
+    """The same of a simulation that is linearised at every sample."""
+    for name, parts in _of_several(steps.sources, spectra):
+        b0, b1, d = (
+            np.concatenate([m, _together(m, steps.sources, parts)], axis=2)
+            for m in (steps.b0, steps.b1, steps.d)
+        )
+        steps = replace(steps, sources=(*steps.sources, name), b0=b0, b1=b1, d=d)
+    return steps
+
+
+def _of_several(
+    sources: Sequence[str], spectra: Mapping[str, DisturbanceSpectrum]
+) -> list[tuple[str, tuple[Part, ...]]]:
+    return [(n, s.parts) for n, s in spectra.items() if s.parts and n not in sources]
+
+
+def _together(gains: Array, sources: Sequence[str], parts: Sequence[Part]) -> Array:
+    """(.., rows, 1) by which one force enters in several places, of gains (.., rows, sources)."""
+    return np.asarray(sum(p.ratio * gains[..., [sources.index(p.place)]] for p in parts))
 
 
 def _entering(means: tuple[Array, ...], enters: Array) -> tuple[Array, Array, Array, Array, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.noise import NoiseModel
-from casid.estimation.noise_response import steps_along
+from casid.estimation.noise_response import joined_steps, steps_along
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_innovations import varying_innovations
 
@@ -54,7 +54,7 @@ def with_varying_response(
                 return noise
             of = noise.output_sd, noise.source_sd, noise.spectra, noise.weights
             try:
-                found.append(varying_innovations(steps, *of))
+                found.append(varying_innovations(joined_steps(steps, noise.spectra), *of))
             except np.linalg.LinAlgError:  # it diverges along the path
                 return noise
         varying = replace(noise, varying=found)

@@ -406,7 +406,7 @@ def _seen(problem: Problem, fit: Fit, d: Disturbance) -> tuple[float, Disturbanc
         return fallback, None
     try:
         noise: NoiseModel = estimate_noise(criterion, fit.x, known=problem.noise)
-        noise = with_disturbance_spectra(noise, criterion, fit.x, problem.noise)
+        noise = with_disturbance_spectra(noise, criterion, fit.x, problem.noise, has_common=False)
     except OutOfTimeError:
         raise
     except (CasidError, ArithmeticError, ValueError):

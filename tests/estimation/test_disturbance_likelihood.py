@@ -11,8 +11,9 @@ from scipy.signal import lfilter, lsim
 import casid
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood, use_samples_of
-from casid.estimation.disturbance_likelihood import LONGEST, _At, _Likelihood, errors, likeliest
+from casid.estimation.disturbance_likelihood import _Likelihood, errors, likeliest
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.whittle_scoring import LONGEST, At, step
 
 TS, N, PARTS = 0.5, 600, 10
 B, C, K = 0.06, 0.36, -0.02
@@ -93,12 +94,15 @@ def test_a_point_beside_which_the_responses_overflow_is_no_point_of_it(monkeypat
     search = _Likelihood(fit.criterion, at.full, {}, [None])
     z = np.concatenate([fit.x, search.start])
     assert np.isfinite(search.at(z).value)
-    own = _Likelihood._gains
+    own = _Likelihood._response
 
     def overflows(self, x, e, omega, *, is_beside=False):
-        return np.full_like(own(self, x, e, omega), np.nan if is_beside else 1.0)
+        found = own(self, x, e, omega)
+        assert found.gain is not None
+        gain = np.full_like(found.gain, np.nan if is_beside else 1.0)
+        return dataclasses.replace(found, gain=gain)
 
-    monkeypatch.setattr(_Likelihood, "_gains", overflows)
+    monkeypatch.setattr(_Likelihood, "_response", overflows)
     assert search.at(z).value == np.inf
     assert np.array_equal(likeliest(fit.criterion, fit.x, at.full), fit.x)
 
@@ -115,9 +119,10 @@ def test_a_variance_of_next_to_nothing_holds_nothing_else_back() -> None:
     wanted[len(fit.x)] = 1e5 * LONGEST
     information = np.eye(len(z))
     information[len(fit.x), len(fit.x)] = 1e-9
-    step = search.step(z, _At(0.0, -information @ wanted, information), 0.0)
+    at = At(0.0, -information @ wanted, information)
+    found = step(z, at, 0.0, search.lower, search.upper)
     wanted[len(fit.x)] = LONGEST
-    assert step == pytest.approx(wanted, rel=1e-9)
+    assert found == pytest.approx(wanted, rel=1e-9)
 
 
 def estimated(seeds: range, height: float) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError, DataError, OutOfTimeError
 from casid.estimation.noise import NoiseModel
-from casid.estimation.noise_response import noise_response
+from casid.estimation.noise_response import joined, noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
@@ -202,7 +202,8 @@ def predicted_table(planned: Planned, at: Weighted, effects: Sequence[Effect]) -
         start=with_start(planned, at.fit.values, base.own),
     )
     x = criterion.start
-    responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
+    records, spectra = range(len(criterion.data)), at.noise.spectra
+    responses = [joined(noise_response(criterion, x, e), spectra) for e in records]
     noise = NoiseModel(
         output_sd=np.concatenate([at.noise.output_sd, planned.further_sd]),
         source_sd={s: at.noise.source_sd.get(s, 0.0) for s in responses[0].sources},

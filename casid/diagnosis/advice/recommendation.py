@@ -279,11 +279,11 @@ def _of_samples(why_undecided: str, doubts: Doubts) -> str:
 def _disturbance_advice(model: Model, d: Disturbance) -> str:
     """What to do about a disturbance that makes most of the residual."""
     text = (
-        f"Find what acts on {d.where} and record it, then diagnose again: it makes "
+        f"Find what acts on {d.place} and record it, then diagnose again: it makes "
         f"{100 * d.share:.0f} % of the residual, and parameters fitted without it are biased where "
         "it is not random or goes with a recorded input."
     )
-    if d.where not in model.balances:
+    if d.also or d.where not in model.balances:
         return text
     how = f"casid identify --disturbance {quote(f'{d.where}:{d.spectral_form}')}"
     return f"{text} What is truly random is estimated with them by {how}."

@@ -20,7 +20,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import SolveError
-from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part
 from casid.estimation.holdout import Split
 from casid.estimation.noise import NoiseModel
 from casid.estimation.noise_response import name_of_force, with_forces
@@ -38,7 +38,7 @@ class NullNoise:
     outputs : output -> of its sensor.
     inputs : measured input -> of its sensor, so in the record and not in the motion.
     disturbances : measured input, balance or stated rate -> of what acts there, so in the motion
-        and not in the record.
+        and not in the record; of what acts in several balances, what it does in the first.
     spectra : of disturbances that are not white.
     """
 
@@ -46,6 +46,11 @@ class NullNoise:
     inputs: Mapping[str, float]
     disturbances: Mapping[str, float]
     spectra: Mapping[str, DisturbanceSpectrum] = field(default_factory=dict)
+
+    def parts(self, disturbance: str) -> tuple[Part, ...]:
+        """Where one of them acts, and in which ratio."""
+        spectrum = self.spectra.get(disturbance)
+        return (spectrum.parts if spectrum else ()) or (Part(disturbance, 1.0),)
 
 
 def null_noise(
@@ -109,7 +114,8 @@ class NullRecords:
     ) -> None:
         self.noise = noise
         self.whole, self.apart = list(whole), list(apart)
-        forced = [n for n in noise.disturbances if n not in model.inputs]
+        places = (p.place for n in noise.disturbances for p in noise.parts(n))
+        forced = list(dict.fromkeys(n for n in places if n not in model.inputs))
         disturbed = with_forces(model, forced, "measured")
         self._criteria: list[tuple[SimulationError, Array]] = []
         settings: dict[str, Any] = {"weights": weights, "substeps": substeps}
@@ -163,7 +169,8 @@ class NullRecords:
         for name, sd in self.noise.disturbances.items():
             spectrum = self.noise.spectra.get(name)
             drawn = spectrum.draw(d.N, d.Ts, rng) if spectrum else rng.standard_normal(d.N)
-            u[:, _column(criterion.model, name)] += sd * drawn
+            for part in self.noise.parts(name):
+                u[:, _column(criterion.model, part.place)] += sd * part.ratio * drawn
         with np.errstate(all="ignore"):
             y, _, _ = criterion.simulate(x, e, signals=replace(d, u=u))
         if not np.all(np.isfinite(y)):

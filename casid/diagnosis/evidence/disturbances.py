@@ -24,11 +24,33 @@ from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.noise import NoiseModel, estimate_noise
 from casid.estimation.noise_floor import floor_error
 from casid.estimation.noise_response import name_of_force, shown_force
-from casid.model.quantities import quantity_text
-from casid.model.units import difference_from_si, difference_to_si, same_dimension
+from casid.model.model import Model
+from casid.model.quantities import quantity_text, quantity_texts
+from casid.model.units import (
+    declared_quotient,
+    difference_from_si,
+    difference_to_si,
+    same_dimension,
+)
 
 DAY = timedelta(days=1).total_seconds()
 """Its length [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """What a disturbance does in a further balance, over what it does in its first."""
+
+    where: str
+    value: float
+    std_error: float
+    unit: str
+
+    @property
+    def text(self) -> str:
+        """As a sentence has it."""
+        (value, error), unit = quantity_texts([self.value, self.std_error], self.unit)
+        return f"{self.where} at a ratio of {f'{value} +- {error} {unit}'.rstrip()}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +66,7 @@ class Disturbance:
         weights, 0..1.
     peak : frequency [Hz] at which its spectrum is largest; None where the spectrum is flat.
     bandwidth : width [Hz] of the band that holds its power; None where that is all frequencies.
+    also : further balances in which the same force acts, in a fixed ratio.
     """
 
     where: str
@@ -52,6 +75,7 @@ class Disturbance:
     share: float
     peak: float | None = None
     bandwidth: float | None = None
+    also: tuple[Ratio, ...] = ()
 
     @property
     def is_dominant(self) -> bool:
@@ -82,11 +106,23 @@ class Disturbance:
         else:
             peak, width = (quantity_text(each, "Hz") for each in self._band)
             spectrum = f"a band {width} wide around {peak}{_period_text(*self._band)}"
+        if self.also:
+            ratios = ", ".join(each.text for each in self.also)
+            return (
+                f"one unrecorded random disturbance acts on {self.place} together: standard "
+                f"deviation {quantity_text(self.std, self.unit)} in {self.where}, {ratios}, "
+                f"{spectrum}, {100 * self.share:.0f} % of the residual"
+            )
         return (
             f"an unrecorded random disturbance acts on {self.where}: standard deviation "
             f"{quantity_text(self.std, self.unit)}, {spectrum}, {100 * self.share:.0f} % of the "
             "residual"
         )
+
+    @property
+    def place(self) -> str:
+        """Where it acts: one place, or several balances."""
+        return " and ".join([self.where, *(each.where for each in self.also)])
 
     @property
     def highest(self) -> float:
@@ -101,14 +137,15 @@ class Disturbance:
         A law of a state is a balance by the state's name: its unit is not that of the state.
         """
         unit = units.get(self.where, self.unit)
-        if not same_dimension(unit, self.unit):
+        if self.also or not same_dimension(unit, self.unit):
             return self
         std = float(difference_from_si(difference_to_si(self.std, self.unit), unit))
         return replace(self, std=std, unit=unit)
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` has it."""
-        return plain_fields(self, "sentence")
+        out = plain_fields(self, "sentence", leave_out=("also",))
+        return out | {"also": [plain_fields(each) for each in self.also]}
 
 
 def _period_text(peak: float, width: float) -> str:
@@ -159,10 +196,33 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
     for where in seen or strongest:
         parts = found[where]
         sd = float(np.sqrt(sum(p[1] for p in parts)))
-        peak, width = _peak(max(parts, key=lambda p: p[0])[2])
-        size, unit = shown_force(at.model, where, sd)
-        out.append(Disturbance(where, size, unit, min(shares[where], 1.0), peak, width))
+        spectrum = max(parts, key=lambda p: p[0])[2]
+        first, also = _places(at.model, where, spectrum)
+        size, unit = shown_force(at.model, first, sd)
+        share = min(shares[where], 1.0)
+        out.append(Disturbance(first, size, unit, share, *_peak(spectrum), also))
     return tuple(sorted(out, key=lambda d: -d.share))
+
+
+def _places(
+    model: Model, source: str, spectrum: DisturbanceSpectrum | None
+) -> tuple[str, tuple[Ratio, ...]]:
+    """The first place in which a source acts, and what it does in others."""
+    if spectrum is None or not spectrum.parts:
+        return source, ()
+    first, *others = spectrum.parts
+    one, below = shown_force(model, first.place, 1.0)
+    also = []
+    for part in others:
+        size, above = shown_force(model, part.place, 1.0)
+        value, error = (size / one * v for v in (part.ratio, part.error))
+        also.append(Ratio(part.place, value, error, declared_quotient(above, below)))
+    return first.place, tuple(also)
+
+
+def shown_source(model: Model, noise: NoiseModel, source: str, size: float) -> tuple[float, str]:
+    """`shown_force` of a source; of one that acts in several balances what it does in the first."""
+    return shown_force(model, _places(model, source, noise.spectra.get(source))[0], size)
 
 
 def _acting_as(at: Weighted, where: str) -> Sequence[str]:

@@ -315,7 +315,8 @@ def _charge(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
     than a record resolves would otherwise be preferred to the line that it is there.
     """
     n = at.criterion.n_samples
-    shapes = sum(2 + (s.damping is not None) for s in at.noise.spectra.values())
+    spectra = at.noise.spectra.values()
+    shapes = sum(2 + (s.damping is not None) + max(len(s.parts) - 1, 0) for s in spectra)
     charged = sum(price_of(a.candidate.effect.cost, n, search.count_tested) for a in adopted)
     return shapes * math.log(n) + charged
 

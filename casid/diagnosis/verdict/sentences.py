@@ -8,12 +8,11 @@ import numpy as np
 
 from casid.arrays import TINY
 from casid.data.problem import Problem
-from casid.diagnosis.evidence.disturbances import Disturbance, is_seen
+from casid.diagnosis.evidence.disturbances import Disturbance, is_seen, shown_source
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
-from casid.estimation.noise_response import shown_force
 from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import (
@@ -404,7 +403,7 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
                 most = text_of(source, sd)
                 text += f"; the residual implies up to {most}: a disturbance or model error"
         elif not is_all and is_seen(at, source):
-            size = quantity_text(*shown_force(at.model, source, sd))
+            size = quantity_text(*shown_source(at.model, at.full, source, sd))
             text = f"random disturbance, standard deviation {size}"
         else:
             continue

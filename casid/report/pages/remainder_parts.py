@@ -77,7 +77,7 @@ def disturbance_parts(d: Diagnosis) -> list[Part]:
         return []
     rows = [
         (
-            Code(each.where),
+            Code(each.place),
             number_text(each.std),
             each.unit,
             "\u2013" if each.peak is None else quantity_text(each.peak, "Hz"),
