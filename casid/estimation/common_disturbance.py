@@ -32,6 +32,9 @@ FLOOR = 1e-3
 a variance does not leave zero."""
 NEGLIGIBLE = 1e-3
 """Share of every spectrum, at any frequency, below which a source is none."""
+DAMPINGS = (1e-3, 0.1, 3.0)
+"""Of the scoring, one after another, each from where the one before ended: far from the likeliest
+variances an undamped step may lead nowhere."""
 TAPERED = 35 / 18
 """Variance of means of a periodogram under Hann's window, over that without: lines next to each
 other are not independent."""
@@ -210,7 +213,9 @@ class CommonSearch:
                     total.information[:] += part.information
             return replace(total, value=value)
 
-        phi, there = minimum(at, of.start, np.zeros(0), np.zeros(0))
+        phi, none = of.start, np.zeros(0)
+        for damping in DAMPINGS:
+            phi, there = minimum(at, phi, none, none, damping)
         white, scales, found = of.read(phi, there.information / TAPERED)
         sd = {n: float(np.sqrt(v)) for n, v in scales.items() if self._is_seen(of, phi, n)}
         found = {n: s for n, s in found.items() if n in sd}

@@ -137,7 +137,7 @@ class SourceSpectra:
                 parts[entry.part] = Part(place, value * entry.size, error * entry.size)
                 spectra[name] = replace(spectra[name], parts=tuple(parts))
             else:
-                spectra[name] = replace(spectra[name], **{entry.kind: float(np.exp(value))})
+                spectra[name] = _with(spectra[name], entry.kind, float(np.exp(value)))
         return white, scales, spectra
 
     def at(self, phi: Array, r: Response, Ts: float) -> tuple[Array, dict[int, Array]]:
@@ -165,7 +165,7 @@ class SourceSpectra:
                 slopes[k] = entry.size * full[name][:, None, None] * both
             else:
                 moved = getattr(spectra[name], entry.kind) * np.exp(DIFFERENCE)
-                after = replace(spectra[name], **{entry.kind: float(moved)}).of(r.omega, Ts)
+                after = _with(spectra[name], entry.kind, float(moved)).of(r.omega, Ts)
                 slope = scales[name] * (after - shapes[name]) / DIFFERENCE
                 slopes[k] = slope[:, None, None] * _outer(columns[name])
         return S, slopes
@@ -203,6 +203,13 @@ class SourceSpectra:
     def _gain(r: Response, place: str) -> Array:
         assert r.gain is not None
         return r.gain[:, :, r.sources.index(place)]
+
+
+def _with(spectrum: DisturbanceSpectrum, kind: str, value: float) -> DisturbanceSpectrum:
+    """The same of another frequency or damping."""
+    if kind == "frequency":
+        return replace(spectrum, frequency=value)
+    return replace(spectrum, damping=value)
 
 
 def _outer(g: Array) -> Array:

@@ -33,15 +33,17 @@ def impossible(n: int) -> At:
     return At(np.inf, np.zeros(n), np.zeros((n, n)))
 
 
-def minimum(of: Callable[[Array], At], z: Array, lower: Array, upper: Array) -> tuple[Array, At]:
+def minimum(
+    of: Callable[[Array], At], z: Array, lower: Array, upper: Array, damping: float = 1e-3
+) -> tuple[Array, At]:
     """The point of least value from z, and what is there; z where its value is not finite.
 
     Parameters
     ----------
     lower, upper : of the first of the variables; the others are logarithms or of unit size.
+    damping : of the first step.
     """
     at, n = of(z), len(lower)
-    damping = 1e-3
     for _ in range(STEPS if np.isfinite(at.value) else 0):
         move = step(z, at, damping, lower, upper)
         if 0.5 * abs(float(move @ at.gradient)) < SETTLED:
