@@ -26,38 +26,33 @@ def rooms() -> casid.Model:
     m = casid.Model("two zones")
     P = [m.input(f"P_{i}", "W", hold="zoh") for i in (1, 2)]
     T = [m.state(f"T_{i}", "K") for i in (1, 2)]
+    between = m.constant("G_12", BETWEEN, "W/K")
     for i in (0, 1):
         c = m.parameter(f"C_{i + 1}", "MJ/K", start=2.0, lower=0.1, upper=100)
         g = m.parameter(f"G_{i + 1}", "W/K", start=50, lower=1, upper=1000)
-        terms = [P[i], -g * T[i], -BETWEEN * (T[i] - T[1 - i])]
+        terms = [P[i], -g * T[i], -between * (T[i] - T[1 - i])]
         m.balance(T[i], f"zone {i + 1}", inertia=c, terms=terms, unit=("W", "kW")[i])
         m.output(f"room_{i + 1}", T[i], "K")
     return m
 
 
-def record(seed: int, N: int = 700, lost: float = 0.0) -> casid.Record:
-    """Heating steps in two rooms, and people in both; exactly between thirds of a sample.
-
-    From the middle of the record on, the first room loses `lost` of its heat more.
-    """
+def record(seed: int, N: int = 700) -> casid.Record:
+    """Heating steps in two rooms, and people in both; exactly between thirds of a sample."""
     rng, n = np.random.default_rng(seed), 3 * N
     P = [np.repeat(rng.random(N // p + 1) * 2000, 3 * p)[:n] for p in (12, 9)]
     pole = np.exp(-TS / 3 / 9000)
     people = lfilter([1.0], [1.0, -pole], rng.standard_normal(n + 900) * np.sqrt(1 - pole**2))[900:]
-    steps = []
-    for loss in (0.0, lost):
-        a = np.zeros((4, 4))
-        a[:2, :2] = [
-            [-(G[0] * (1 + loss) + BETWEEN) / C[0], BETWEEN / C[0]],
-            [BETWEEN / C[1], -(G[1] + BETWEEN) / C[1]],
-        ]
-        a[0, 2], a[1, 3] = 1 / C[0], 1 / C[1]
-        steps.append(expm(a * TS / 3))
+    a = np.zeros((4, 4))
+    a[:2, :2] = [
+        [-(G[0] + BETWEEN) / C[0], BETWEEN / C[0]],
+        [BETWEEN / C[1], -(G[1] + BETWEEN) / C[1]],
+    ]
+    a[0, 2], a[1, 3] = 1 / C[0], 1 / C[1]
+    step = expm(a * TS / 3)
     x, rows = np.zeros(2), []
     for k in range(n):
         rows.append(x)
         heat = [P[0][k] + PEOPLE * people[k], P[1][k] + RATIO * PEOPLE * people[k]]
-        step = steps[k >= n // 2]
         x = step[:2, :2] @ x + step[:2, 2:] @ heat
     y = np.array(rows)[::3] + SD * rng.standard_normal((N, 2))
     channels = {"P_1": P[0][::3], "P_2": P[1][::3], "room_1": y[:, 0], "room_2": y[:, 1]}
@@ -117,21 +112,12 @@ def test_null_records_have_it_in_both_places(found: Weighted) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lost", [0.0, 0.5])
-def test_people_in_both_rooms_are_one_disturbance_and_a_loss_is_found_beside_them(lost) -> None:
+def test_people_in_both_rooms_are_one_disturbance_and_no_cause() -> None:
     channels = {n: n for n in ("P_1", "P_2", "room_1", "room_2")}
     problem = casid.Problem("rooms", rooms(), channels=channels)
-    data = casid.Experiment(record(2, lost=lost), {}, "rooms")
-    d = casid.diagnose(problem, data, starts=1)
+    d = casid.diagnose(problem, casid.Experiment(record(2), {}, "rooms"), starts=1)
     (people,) = d.disturbances
     assert people.place == "zone 1 and zone 2"
     assert 1e3 * people.also[0].value == pytest.approx(RATIO, abs=0.15)
-    if not lost:
-        assert d.verdict == "adequate"
-        assert d.noise["zone 1 and zone 2"].startswith("random disturbance")
-        return
-    (cause,) = d.causes
-    assert (cause.kind, cause.where) == ("parameter_jump", "G_1")
-    (jump,) = (p for p in cause.parameters if p.name == "jump_G_1")
-    assert jump.value == pytest.approx(lost * G[0], abs=3 * jump.std_error)
-    assert jump.std_error < 0.05 * lost * G[0]
+    assert d.verdict == "adequate"
+    assert d.noise["zone 1 and zone 2"].startswith("random disturbance")
