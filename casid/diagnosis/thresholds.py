@@ -830,9 +830,6 @@ class Friction:
     )
 
 
-_PRESELECTION = f"{TESTS}/search/test_preselection.py"
-
-
 @dataclass(frozen=True, slots=True)
 class Stops:
     """Which stops are springs that harden."""
@@ -849,6 +846,9 @@ class Stops:
         "that is tens of units of log-likelihood, of a spring that hardens a gain",
         f"{TESTS}/search/test_soft_stops.py",
     )
+
+
+_PRESELECTION = f"{TESTS}/search/test_preselection.py"
 
 
 @dataclass(frozen=True, slots=True)

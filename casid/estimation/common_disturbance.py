@@ -217,18 +217,19 @@ class CommonSearch:
         for damping in DAMPINGS:
             phi, there = minimum(at, phi, none, none, damping)
         white, scales, found = of.read(phi, there.information / TAPERED)
-        sd = {n: float(np.sqrt(v)) for n, v in scales.items() if self._is_seen(of, phi, n)}
+        seen = self._seen_at(of, phi)
+        sd = {n: float(np.sqrt(v)) for n, v in scales.items() if n in seen}
         found = {n: s for n, s in found.items() if n in sd}
         value = there.value + self._price(found)
         return Common(value, np.sqrt(white), sd, found)
 
-    def _is_seen(self, of: SourceSpectra, phi: Array, name: str) -> bool:
-        """True of a source that is a share of some spectrum at some frequency."""
+    def _seen_at(self, of: SourceSpectra, phi: Array) -> set[str]:
+        """The sources that are a share of some spectrum at some frequency."""
+        seen = set()
         for (_, _, r), Ts in zip(self._seen, self.sample_times, strict=True):
-            whole, own = of.spectra_at(phi, r, Ts, name)
-            if np.any(own > NEGLIGIBLE * whole):
-                return True
-        return False
+            whole, own = of.spectra_at(phi, r, Ts)
+            seen |= {name for name, part in own.items() if np.any(part > NEGLIGIBLE * whole)}
+        return seen
 
     def _price(self, found: Mapping[str, DisturbanceSpectrum]) -> float:
         """The BIC penalty, in nats: shapes, ratios, and variances of forces in several balances."""

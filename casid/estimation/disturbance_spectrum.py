@@ -12,6 +12,7 @@ One force may act in several balances, in a fixed ratio: a crosswind pushes a ca
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,3 +82,9 @@ class DisturbanceSpectrum:
             return np.asarray(1 / (1 + r2))
         lower = r2 if self.is_band else 1.0
         return np.asarray(lower / ((1 - r2) ** 2 + 4 * self.damping**2 * r2 + TINY))
+
+
+def parts_of(source: str, spectra: Mapping[str, DisturbanceSpectrum]) -> tuple[Part, ...]:
+    """Where a source acts, and in which ratio: in the balance of its name, or in several."""
+    parts = spectra[source].parts if source in spectra else ()
+    return parts or (Part(source, 1.0),)

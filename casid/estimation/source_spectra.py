@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from casid.arrays import TINY, Array
-from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part, parts_of
 from casid.estimation.noise_response import Response
 from casid.estimation.residual_spectra import band_edges
 
@@ -144,8 +144,7 @@ class SourceSpectra:
         """S (F, ny, ny), and its derivative for each place of phi."""
         white, scales, spectra = self.read(phi)
         columns = self._columns(r, spectra)
-        shapes = {n: s.of(r.omega, Ts) for n, s in spectra.items()}
-        full = {n: v * shapes.get(n, np.ones(len(r.omega))) for n, v in scales.items()}
+        full = _spectra_of(scales, spectra, r.omega, Ts)
         parts = {n: full[n][:, None, None] * _outer(columns[n]) for n in scales}
         ny = len(self.outputs)
         S = np.zeros((len(r.omega), ny, ny), complex) + np.diag(white) + sum(parts.values())
@@ -166,43 +165,48 @@ class SourceSpectra:
             else:
                 moved = getattr(spectra[name], entry.kind) * np.exp(DIFFERENCE)
                 after = _with(spectra[name], entry.kind, float(moved)).of(r.omega, Ts)
-                slope = scales[name] * (after - shapes[name]) / DIFFERENCE
+                slope = (scales[name] * after - full[name]) / DIFFERENCE
                 slopes[k] = slope[:, None, None] * _outer(columns[name])
         return S, slopes
 
-    def spectra_at(self, phi: Array, r: Response, Ts: float, source: str) -> tuple[Array, Array]:
-        """(F, ny) the spectra of all outputs, and what one source adds to them."""
+    def spectra_at(self, phi: Array, r: Response, Ts: float) -> tuple[Array, dict[str, Array]]:
+        """(F, ny) the spectra of all outputs, and what each source adds to them."""
         white, scales, spectra = self.read(phi)
-        own = {
-            name: (scales[name] * (spectra[name].of(r.omega, Ts) if name in spectra else 1.0))
-            * np.abs(column.T) ** 2
-            for name, column in self._columns(r, spectra).items()
-        }
-        return (white[:, None] + sum(own.values())).T, own[source].T
+        full, columns = _spectra_of(scales, spectra, r.omega, Ts), self._columns(r, spectra)
+        own = {name: full[name][:, None] * np.abs(column) ** 2 for name, column in columns.items()}
+        return white + sum(own.values()), own
 
     def change(self, phi: Array, r: Response, moved: Response, Ts: float) -> Array:
         """(F, ny, ny) by which S changes where the responses move."""
         _, scales, spectra = self.read(phi)
         before, after = self._columns(r, spectra), self._columns(moved, spectra)
         S = np.zeros((len(r.omega), len(self.outputs), len(self.outputs)), complex)
-        for name, scale in scales.items():
-            shape = spectra[name].of(r.omega, Ts) if name in spectra else np.ones(len(r.omega))
-            S += (scale * shape)[:, None, None] * (_outer(after[name]) - _outer(before[name]))
+        for name, own in _spectra_of(scales, spectra, r.omega, Ts).items():
+            S += own[:, None, None] * (_outer(after[name]) - _outer(before[name]))
         return S
 
     def _columns(self, r: Response, spectra: Mapping[str, DisturbanceSpectrum]) -> dict[str, Array]:
         """(F, ny) responses to each source."""
         out = {}
         for name in self._source_sd:
-            parts = spectra[name].parts if name in spectra else ()
-            parts = parts or (Part(name, 1.0),)
-            out[name] = sum(p.ratio * self._gain(r, p.place) for p in parts)
+            out[name] = sum(p.ratio * self._gain(r, p.place) for p in parts_of(name, spectra))
         return {n: np.asarray(g) for n, g in out.items()}
 
     @staticmethod
     def _gain(r: Response, place: str) -> Array:
         assert r.gain is not None
         return r.gain[:, :, r.sources.index(place)]
+
+
+def _spectra_of(
+    scales: Mapping[str, float],
+    spectra: Mapping[str, DisturbanceSpectrum],
+    omega: Array,
+    Ts: float,
+) -> dict[str, Array]:
+    """(F,) of each source by itself; of one without a shape its variance."""
+    white = np.ones(len(omega))
+    return {n: v * (spectra[n].of(omega, Ts) if n in spectra else white) for n, v in scales.items()}
 
 
 def _with(spectrum: DisturbanceSpectrum, kind: str, value: float) -> DisturbanceSpectrum:

@@ -20,7 +20,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import SolveError
-from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, parts_of
 from casid.estimation.holdout import Split
 from casid.estimation.noise import NoiseModel
 from casid.estimation.noise_response import name_of_force, with_forces
@@ -46,11 +46,6 @@ class NullNoise:
     inputs: Mapping[str, float]
     disturbances: Mapping[str, float]
     spectra: Mapping[str, DisturbanceSpectrum] = field(default_factory=dict)
-
-    def parts(self, disturbance: str) -> tuple[Part, ...]:
-        """Where one of them acts, and in which ratio."""
-        spectrum = self.spectra.get(disturbance)
-        return (spectrum.parts if spectrum else ()) or (Part(disturbance, 1.0),)
 
 
 def null_noise(
@@ -114,7 +109,7 @@ class NullRecords:
     ) -> None:
         self.noise = noise
         self.whole, self.apart = list(whole), list(apart)
-        places = (p.place for n in noise.disturbances for p in noise.parts(n))
+        places = (p.place for n in noise.disturbances for p in parts_of(n, noise.spectra))
         forced = list(dict.fromkeys(n for n in places if n not in model.inputs))
         disturbed = with_forces(model, forced, "measured")
         self._criteria: list[tuple[SimulationError, Array]] = []
@@ -169,7 +164,7 @@ class NullRecords:
         for name, sd in self.noise.disturbances.items():
             spectrum = self.noise.spectra.get(name)
             drawn = spectrum.draw(d.N, d.Ts, rng) if spectrum else rng.standard_normal(d.N)
-            for part in self.noise.parts(name):
+            for part in parts_of(name, self.noise.spectra):
                 u[:, _column(criterion.model, part.place)] += sd * part.ratio * drawn
         with np.errstate(all="ignore"):
             y, _, _ = criterion.simulate(x, e, signals=replace(d, u=u))

@@ -271,8 +271,7 @@ class _Selection:
         if why and is_disturbed and is_as_good_held_out(self.errors, errors):
             # Whether it foretells what was held out, the motion that is simulated may show.
             fit = whole()
-            old, new = (simulation_errors(f, self.split, self.units) for f in (self.fit, fit))
-            why = why_not_adopted(old, new)
+            why = self._why_not_simulated(fit)
         if why:
             return why
         fit = fit or whole()
@@ -285,14 +284,18 @@ class _Selection:
         if is_disturbed:
             # Under the disturbance, unless the simulation by itself then goes astray.
             if why_much_worse(self.fit, at.fit, self.split):
-                old, new = (simulation_errors(f, self.split, self.units) for f in (self.fit, fit))
-                if why := why_not_adopted(old, new):
+                if why := self._why_not_simulated(fit):
                     return why
             else:
                 fit = at.fit
         self.errors, self.fit, self.at = errors, fit, at
         self.adopted += news
         return ""
+
+    def _why_not_simulated(self, fit: Fit) -> str:
+        """Why a fit is refused by the errors of its simulation alone, or an empty text."""
+        old, new = (simulation_errors(f, self.split, self.units) for f in (self.fit, fit))
+        return why_not_adopted(old, new)
 
     def _errors(self, c: Candidate) -> SimulationErrors:
         """The errors of a model fitted under the noise with disturbances."""
