@@ -29,7 +29,7 @@ from casid.estimation.missing_samples import (
     unbroken,
 )
 from casid.estimation.noise_response import Response, name_of_force, noise_response
-from casid.estimation.residual_spectra import Spectra, restricted, spectra_of
+from casid.estimation.residual_spectra import Spectra, restricted, spectra_of, with_floors
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -93,7 +93,7 @@ class NoiseModel:
         out = {}
         for group in self.alike:
             inputs = [name for name in group if name in largest]
-            gains = {name: sum(self._gain(name, r) for r in self.responses) for name in group}
+            gains = {name: sum(self.gain(name, r) for r in self.responses) for name in group}
             white = [name for name in group if name not in self.spectra]  # others are their own
             found = sum(self.source_sd[name] ** 2 * gains[name] for name in white)
             could = sum(largest[name] ** 2 * gains[name] for name in inputs)
@@ -101,7 +101,8 @@ class NoiseModel:
             out.update({name: float(share * largest[name]) for name in inputs})
         return out
 
-    def _gain(self, name: str, r: Response) -> float:
+    def gain(self, name: str, r: Response) -> float:
+        """Weighted power of the outputs, of a unit variance of a source."""
         return float((r.gain2[:, :, r.sources.index(name)] * self.weights**2).mean())
 
     def spectrum(self, experiment: int) -> Array:
@@ -274,10 +275,13 @@ class Seen:
     ----------
     windows : (N, ny) an experiment, the samples that there are.
     absorbed : what the fit took out of the spectra (`absorbed_noise`); None: nothing.
+    floors : input -> its variance as its own channel shows it, and the standard error of that. Each
+        counts as one more line of the spectra, once for every output, as the lines of these do.
     """
 
     windows: Sequence[BoolArray]
     absorbed: Sequence[Array] | None = None
+    floors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def estimate_noise(
@@ -326,7 +330,9 @@ def estimate_noise(
     shown = seen_through or Seen(used)
     spectra = spectra_of(residuals, responses, sources, ny, shown.windows, absorbed=shown.absorbed)
     require_finite("the residual's spectra", spectra.power, spectra.design)
-    value = variances(spectra, given)
+    heads = {name: group[0] for group in alike for name in group}
+    floors = {heads[n]: floor for n, floor in shown.floors.items() if n in heads}
+    value = variances(with_floors(spectra, floors, sources), given)
     output_sd = np.sqrt(np.maximum(value[:ny], spectra.least))
     found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
     is_felt = np.any(spectra.design * value > spectra.floor[:, None], axis=0)
@@ -340,7 +346,7 @@ def estimate_noise(
         responses=responses,
         weights=criterion.weights,
         alike=tuple(alike),
-        covariance=_covariance(spectra, value, keys, sought),
+        covariance=_covariance(with_floors(spectra, floors, sources), value, keys, sought),
         misfit=whittle(spectra, value),
         used=() if all(mask.all() for mask in used) else used,
         known=known,

@@ -7,13 +7,14 @@ speed. Whatever acts in one balance alone moves two outputs in proportion, frequ
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 from scipy.fft import rfft
+from scipy.ndimage import median_filter
 
 from casid.arrays import Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part
@@ -30,6 +31,9 @@ from casid.model.units import difference_from_si, unit_quotient
 
 POINTS = 200
 """Samples of a record at which a model that is not linear is linearised."""
+MEDIAN_OF = 31
+"""Samples of a noisy input, whose median a response follows: a thirtieth of what each sample's
+noise would move is left, and a step stays where it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,18 +213,29 @@ def _mean_slopes(
     return disturbed, e, (a.mean(axis=1), b0, b1, inside, c.mean(axis=1), dd)
 
 
-def steps_along(criterion: SimulationError, x: Array, experiment: int) -> Steps | None:
+def steps_along(
+    criterion: SimulationError, x: Array, experiment: int, noisy: Collection[str] = ()
+) -> Steps | None:
     """The steps of a record at every sample; None of a model that is linear and constant.
 
     What sensors and actuators do beyond expressions is left out.
+
+    Parameters
+    ----------
+    noisy : inputs whose running median is followed: what follows the noise of an input has it in
+        common with the residual, and moves the mean of their product.
     """
     d = criterion.data[experiment]
     disturbed, e, _, is_constant = _linearised(criterion, d.Ts)
     if is_constant:
         return None
-    ahead = np.vstack([d.u[1:], d.u[-1:]])
+    u = d.u.copy()
+    for i, name in enumerate(criterion.model.inputs):
+        if name in noisy:
+            u[:, i] = median_filter(u[:, i], MEDIAN_OF, mode="nearest")
+    ahead = np.vstack([u[1:], u[-1:]])
     states = criterion.simulated(x, experiment).x
-    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, d.u, ahead)
+    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, u, ahead)
     # What a band-limited input does between its samples is taken as on a straight line here.
     b0, b1 = _on_lines(b0, b1, inside)
     a, b0, b1, c, dd = (np.ascontiguousarray(m.swapaxes(0, 1)) for m in (a, b0, b1, c, dd))

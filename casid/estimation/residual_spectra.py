@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ class Spectra:
     power: Array  # (B,)
     count: Array  # (B,) frequencies of each band; a mean that the fit took away is none
     omega: Array  # (B,) rad/sample, their mean
-    output: Array  # (B,) index of the output
+    output: Array  # (B,) index of the output, and after those of each source `with_floors`
     tangent: Array | None = None  # (B, n, n) what `restricted` counts; None: nothing
 
     @property
@@ -83,6 +83,34 @@ def spectra_of(
             outputs.append(np.full(len(power), i))
     joined = (np.concatenate(each) for each in (powers, counts, centres, outputs))
     return Spectra(np.vstack(rows), *joined)
+
+
+def with_floors(
+    spectra: Spectra, floors: Mapping[str, tuple[float, float]], sources: Sequence[str]
+) -> Spectra:
+    """The spectra with variances of sources that are known from elsewhere, as lines of their own.
+
+    As the mean of a periodogram is, such a variance is Gamma distributed.
+
+    Parameters
+    ----------
+    floors : source -> variance and its standard error. It counts once for every output.
+    sources : of the columns of the design after those of the outputs.
+    """
+    if not floors:
+        return spectra
+    assert spectra.tangent is None
+    ny, k = spectra.design.shape[1] - len(sources), len(floors)
+    value, error = np.array(list(floors.values())).T
+    design = np.zeros((k, spectra.design.shape[1]))
+    design[range(k), [ny + sources.index(name) for name in floors]] = 1.0
+    return Spectra(
+        np.vstack([spectra.design, design]),
+        np.concatenate([spectra.power, value]),
+        np.concatenate([spectra.count, ny * (value / error) ** 2]),
+        np.concatenate([spectra.omega, np.full(k, np.pi)]),
+        np.concatenate([spectra.output, np.arange(ny, ny + k)]),
+    )
 
 
 def restricted(spectra: Spectra, s: Array) -> Array:

@@ -103,7 +103,7 @@ class _Residual:
             of = [part / at.weights for part in left]
             noise = estimate_noise(at, x, known=self.known, residuals=of)
             noise = with_disturbance_spectra(noise, at, x, self.known, residuals=of, near=near)
-            noise = with_varying_response(noise, at, x, residuals=of)
+            noise = with_varying_response(noise, at, x, self.known, residuals=of)
             white = [noise.whiten(part[:, :, None], e) for e, part in enumerate(left)]
             misfit = 0.5 * sum(float(np.sum(w**2)) for w in white)
             logs = sum(noise.log_determinant(e, shape[0]) for e, shape in enumerate(shapes))

@@ -156,24 +156,19 @@ class Weighing:
         return min(bare, found, key=minus_log_likelihood)
 
     def _with_floors(self, found: Weighted) -> Weighing:
-        """The same with the noise of inputs known by their own spectra, where these are more exact.
+        """The same with the noise of inputs known where their own spectra say more than a residual.
 
         A slow system shows the noise of its inputs in few lines of the residual, and a fit absorbs
-        most of those. The residual may then show none of it by chance, and what the noise moved is
-        misfit. The floor of the channel itself counts where the residual shows less than that, and
-        agrees with it as far as the fit lets it show (`input_noise`).
+        most of those; an input that an output feels at once is as white there as the output's own
+        noise. The residual may then show none of it by chance, or that alone. Where the floor of
+        the channel agrees with it, as far as the fit lets it show, both count (`input_noise`).
         """
-        c, noise = found.criterion, found.full
-        floors = input_noise_floor(c.data, list(c.model.inputs))
-        less = [
-            name
-            for name, entry in c.model.inputs.items()
-            if entry.kind == "measured" and noise.source_sd.get(name, 0.0) < floors[name]
-        ]
-        if all(name in noise.known for name in less):
+        c = found.criterion
+        measured = [n for n, entry in c.model.inputs.items() if entry.kind == "measured"]
+        if all(name in found.full.known for name in measured):
             return self
-        at_floor = input_noise(c, found.fit.x, self.known_noise).at_floor
-        exact = {name: floors[name] for name in less if name in at_floor}
+        at = input_noise(c, found.fit.x, self.known_noise)
+        exact = {name: at.sd[name] for name in at.at_floor}
         return replace(self, known_noise={**self.known_noise, **exact}) if exact else self
 
     def likeliest(self, model: Model, found: Weighted) -> Weighted:
@@ -332,11 +327,10 @@ class Weighing:
     ) -> NoiseModel:
         """The noise that the residual of a fit shows; parameters as of `estimated`."""
         found = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
-        if not self.takes_disturbances:
-            return found
         c, x, known = fit.criterion, fit.x, self.known_noise
-        found = with_disturbance_spectra(found, c, x, known, is_simple=is_simple, near=near)
-        return with_varying_response(found, c, x)
+        if self.takes_disturbances:
+            found = with_disturbance_spectra(found, c, x, known, is_simple=is_simple, near=near)
+        return with_varying_response(found, c, x, known)
 
     def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
         """Another model under the noise and the weights of one that was judged."""

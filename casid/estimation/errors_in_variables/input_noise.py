@@ -1,7 +1,8 @@
 """How noisy the measured inputs are, and whether their noise matters to an estimate.
 
-The variance of an input's white noise is what the residual shows of it (`estimation.noise`), at
-most the floor of the channel's own spectrum; one that is stated is taken as it is. Where a noise as
+The variance of an input's white noise is what the residual shows of it (`estimation.noise`) and the
+floor of the channel's own spectrum, each by its error, where the two agree, and else what the
+residual shows, at most the floor; one that is stated is taken as it is. Where a noise as
 large as both allow moves no unknown by a tenth of its standard error, and adds next to nothing to
 its variance, it is left out of account.
 """
@@ -31,27 +32,34 @@ from casid.estimation.noise_floor import floor_error
 from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.varying_response import with_varying_response
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InputNoise:
     """The noise that a residual shows, and how much of it each measured input has.
 
-    The more exact of the two counts: what the residual shows, or the floor where the residual
-    agrees with it. Where the residual shows far more than the floor, the rest is a disturbance, or
-    misfit; where it shows far less, the floor is that of a signal.
+    Both what the residual shows and the floor count where they agree. Where the residual shows far
+    more than the floor, the rest is a disturbance, or misfit; where it shows far less, the floor is
+    that of a signal.
 
     Attributes
     ----------
     floors : input -> variance of its white noise, at most: by its own spectrum, or as stated.
     errors : standard errors of `floors`; 0 where stated.
-    at_floor : inputs whose floor is more exact than what the residual shows, and agrees with it.
+    agree : inputs whose floor agrees with what the residual shows; `noise` is from both.
     """
 
     noise: NoiseModel
     floors: Mapping[str, float]
     errors: Mapping[str, float]
-    at_floor: tuple[str, ...] = ()
+    agree: tuple[str, ...] = ()
+
+    @property
+    def at_floor(self) -> tuple[str, ...]:
+        """Those of `agree` whose floor is more exact than what the residual shows."""
+        both = self.noise.variance_error
+        return tuple(n for n in self.agree if 2 * both(n) ** 2 > self.errors[n] ** 2)
 
     @property
     def sd(self) -> dict[str, float]:
@@ -67,7 +75,8 @@ class InputNoise:
         """Inputs whose noise is that of their floor, or as stated."""
         found = self.noise.of_inputs(self._largest)
         largest = self._largest
-        return tuple(n for n, sd in found.items() if sd >= largest[n] or n in self.at_floor)
+        known = self.noise.variance_error
+        return tuple(n for n, sd in found.items() if sd >= largest[n] or known(n) == 0.0)
 
     @property
     def most(self) -> dict[str, float]:
@@ -105,7 +114,8 @@ def input_noise(
 
     Parameters
     ----------
-    before : the noise found nearby, if it was: missing samples are drawn from it first.
+    before : the noise found nearby, if it was: missing samples are drawn from it first, and whether
+        a response varies (`with_varying_response`) is as it was there.
     """
     known = with_rounding(criterion.data, known)
     seen = _Residuals(criterion, x, known, before)
@@ -117,17 +127,16 @@ def input_noise(
         n: 0.0 if n in known else floor_error(_recorded(criterion, n)) * floors[n] ** 2
         for n in measured
     }
-    exact = [n for n in measured if 0 < errors[n] < noise.variance_error(n)]
-    at_floor: tuple[str, ...] = ()
-    if exact:
-        held = seen.of(
-            {**known, **{n: floors[n] for n in exact}},
-            has_disturbances=any(noise.source_sd[b] > 0 for b in criterion.model.balances),
-        )
-        ratio = 2 * (held.misfit - noise.misfit) / len(criterion.outputs)
-        if ratio < chi2.ppf(REMOVAL.agrees, len(exact)):
-            noise, at_floor = held, tuple(exact)
-    return InputNoise(noise, {n: known.get(n, floors[n]) ** 2 for n in measured}, errors, at_floor)
+    noise, agree = seen.with_floors(noise, {n: (floors[n] ** 2, errors[n]) for n in measured})
+    if before is None or before.varying:
+        noise = with_varying_response(noise, criterion, x, known, residuals=seen.recorded)
+    return InputNoise(noise, {n: known.get(n, floors[n]) ** 2 for n in measured}, errors, agree)
+
+
+def _apart(variance: float, floor: float, error: float) -> float:
+    """Twice the log-likelihood by which a variance is less likely than the floor, itself."""
+    ratio = floor / max(variance, TINY)
+    return float(2 * (floor / error) ** 2 * (ratio - 1 - np.log(ratio)))
 
 
 def _recorded(criterion: SimulationError, name: str) -> list[int]:
@@ -197,7 +206,37 @@ class _Residuals:
         has = sum(int(w.sum()) for w in self.windows)
         self.share = sum(int(d.used.sum()) for d in data) / has
 
-    def of(self, known: Mapping[str, float], *, has_disturbances: bool = True) -> NoiseModel:
+    def with_floors(
+        self, noise: NoiseModel, floors: Mapping[str, tuple[float, float]]
+    ) -> tuple[NoiseModel, tuple[str, ...]]:
+        """The noise by the floors as well that agree with it, and the inputs that these are of.
+
+        Parameters
+        ----------
+        noise : what the residual shows.
+        floors : input -> variance and its standard error; 0 where it is stated.
+        """
+        inputs = self.criterion.model.inputs
+        # Inputs that act alike are seen together alone.
+        single = [group[0] for group in noise.alike if sum(n in inputs for n in group) == 1]
+        sought = {n: floor for n, floor in floors.items() if n in single and floor[1] > 0.0}
+        has_disturbances = any(noise.source_sd[b] > 0 for b in self.criterion.model.balances)
+        while sought:
+            both = self.of(self.known, has_disturbances=has_disturbances, floors=sought)
+            apart = {n: _apart(both.source_sd[n] ** 2, *floor) for n, floor in sought.items()}
+            moved = 2 * (both.misfit - noise.misfit) / len(self.criterion.outputs)
+            if moved + sum(apart.values()) < chi2.ppf(REMOVAL.agrees, len(sought)):
+                return both, tuple(sought)
+            del sought[max(apart, key=apart.__getitem__)]
+        return noise, ()
+
+    def of(
+        self,
+        known: Mapping[str, float],
+        *,
+        has_disturbances: bool = True,
+        floors: Mapping[str, tuple[float, float]] | None = None,
+    ) -> NoiseModel:
         """The noise, with that of some channels known, and errors of what is recorded alone."""
         found = estimate_noise(
             self.criterion,
@@ -206,7 +245,7 @@ class _Residuals:
             residuals=self.residuals,
             responses=self.responses,
             has_disturbances=has_disturbances,
-            seen_through=Seen(self.windows, self.absorbed),
+            seen_through=Seen(self.windows, self.absorbed, floors or {}),
         )
         wider = (2 - self.share) / self.share  # for what is missing, and for what was drawn
         return replace(found, covariance={k: wider * v for k, v in found.covariance.items()})

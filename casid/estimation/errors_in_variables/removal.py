@@ -209,6 +209,8 @@ def _worse(fit: Fit, root: _Root) -> str:
     least, now = (max(squares(criterion, x), TINY) for x in (fit.x, root.x))
     if now <= REMOVAL.absorbs_misfit**2 * least:
         return ""
+    if root.found.noise.varying and root.is_noise():
+        return ""  # most of the squares are where the noise is large
     left = np.log(_left_by_noise(root))
     ratio = np.log(least) - left.mean()
     if abs(ratio) <= REMOVAL.left_spreads * left.std(ddof=1):
@@ -303,6 +305,17 @@ class _Root:
         noise = self.found.noise
         white = noise.whiten(columns, experiment)[:, :, 0]
         return noise.completed(white, experiment)[:, :, None]
+
+    def is_noise(self) -> bool:
+        """Whether the residual at the root is as large as the noise found there."""
+        c = self.criterion
+        white = [
+            self.whitened((c.simulated(self.x, e).residual * c.weights)[:, :, None], e)
+            for e in range(len(c.data))
+        ]
+        size = sum(w.size for w in white)
+        over = sum(float(np.sum(w**2)) for w in white) / size - 1.0
+        return abs(over) <= REMOVAL.left_spreads * np.sqrt(2.0 / size)
 
     def at_bound(self, bound: Array) -> tuple[str, ...]:
         """Names of the variables at one of their bounds (n,)."""
