@@ -315,7 +315,7 @@ class _Root:
         ]
         size = sum(w.size for w in white)
         over = sum(float(np.sum(w**2)) for w in white) / size - 1.0
-        return abs(over) <= REMOVAL.left_spreads * np.sqrt(2.0 / size)
+        return bool(abs(over) <= REMOVAL.left_spreads * np.sqrt(2.0 / size))
 
     def at_bound(self, bound: Array) -> tuple[str, ...]:
         """Names of the variables at one of their bounds (n,)."""
