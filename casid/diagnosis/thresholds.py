@@ -373,7 +373,6 @@ class Prewhitening:
 
 
 _BETWEEN = f"{TESTS}/evidence/test_between_samples.py"
-_SCORE_BIAS = f"{TESTS}/evidence/test_score_bias.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -409,14 +408,6 @@ class Scores:
         "that of a first-order response with a time constant of eight samples",
         _BETWEEN,
         "Ts^2 / (12 T), Armstrong and Kolesar, Econometrica 86 (2018) 655-683",
-    )
-    drawn_share: float = _is(
-        0.25,
-        "of an input's noise, the size of the draw that shows what it gives to a score: of a "
-        "function with a kink where an input rests, 1/sqrt(1 + share^2) of it",
-        _SCORE_BIAS,
-        "Stein, Ann. Statist. 9 (1981) 1135-1151, exact as the share goes to zero; the draw's own "
-        "variance grows as its inverse",
     )
     draws: int = _is(4000, "Gaussian draws of the family of effects", POWER_STUDY)
     function_draws: int = _is(2000, "the same of functions", POWER_STUDY)

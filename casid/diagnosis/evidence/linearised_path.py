@@ -18,6 +18,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from casid.arrays import Array
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
+from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.simulation.first_order_lags import lag_columns
 from casid.estimation.simulation.sensor_dynamics import delay_columns
 from casid.estimation.simulation.signals import Signals
@@ -97,7 +98,7 @@ class Linearised:
     def motions(self, sd: Array, seed: int) -> list[list[Motion]]:
         """Every record as it is and, where inputs are noisy, with a draw added and taken away.
 
-        `sd` (nu,) is the white noise of the inputs; the draw is `SCORES.drawn_share` of it.
+        `sd` (nu,) is the white noise of the inputs; the draw is `REMOVAL.drawn_share` of it.
         """
         key = sd.tobytes(), seed
         if key not in self._motions:
@@ -106,7 +107,7 @@ class Linearised:
             for k, d in enumerate(criterion.data):
                 own = [Motion(self, k, d, criterion.simulated(x, k))]
                 if np.any(sd > 0):
-                    w = SCORES.drawn_share * sd * rng.standard_normal((d.N, len(sd)))
+                    w = REMOVAL.drawn_share * sd * rng.standard_normal((d.N, len(sd)))
                     for sign in (1.0, -1.0):
                         noisy = replace(d, u=d.u + sign * w)
                         run = criterion.simulated(x, k, signals=noisy)

@@ -25,6 +25,7 @@ from casid.estimation.disturbance_likelihood import likeliest
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.left_by_noise import share_that_is_there
+from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import NoiseModel, error_over_noise, estimate_noise
@@ -378,17 +379,17 @@ class Weighing:
         sd = np.array([at.input_sd.get(n, 0.0) for n in names])
         if not np.any(sd > 0):
             return value
-        rng = np.random.default_rng(self.seed)
+        rng, share = np.random.default_rng(self.seed), REMOVAL.drawn_share
         order = sorted(range(len(names)), key=lambda i: names[i])
         states = states_of_windows(criterion, range(len(x)))
         for e, d in enumerate(criterion.data):
             w = np.zeros(d.u.shape)
             for i in order:  # the same draw for a channel in every model
                 if sd[i] > 0:
-                    w[:, i] = sd[i] * rng.standard_normal(d.N)
+                    w[:, i] = share * sd[i] * rng.standard_normal(d.N)
             up = criterion.simulate(x, e, signals=replace(d, u=d.u + w))[0]
             down = criterion.simulate(x, e, signals=replace(d, u=d.u - w))[0]
-            moved = d.in_sizes(0.5 * (up - down) * d.used) * criterion.weights
+            moved = d.in_sizes((up - down) / (2 * share) * d.used) * criterion.weights
             assert criterion.whiten is not None
             white = criterion.whiten(moved[:, :, None], e).ravel()
             if states:

@@ -174,7 +174,7 @@ def _projected(name: str, columns: Columns, input_sd: Mapping[str, float], seed:
     for k in range(len(wide.data)):
         parts.append(columns.of_record(x, k))
         if np.any(sd > 0):
-            drawn.append(columns.antithetic(x, k, sd, rng, SCORES.drawn_share))
+            drawn.append(columns.antithetic(x, k, sd, rng))
     e, tangent, rest = (_joined([part[i] for part in parts]) for i in range(3))
     parts.clear()
     # Signatures are as long as all records: they are scaled and projected where they are.

@@ -9,6 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.feedback import not_felt_yet, slope
 from casid.estimation.innovations import GROUP
 from casid.estimation.simulation.minimization import Fit, widened
@@ -78,18 +79,18 @@ class Columns:
         return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])
 
     def antithetic(
-        self, x: Array, k: int, sd: Array, rng: np.random.Generator, share: float = 1.0
+        self, x: Array, k: int, sd: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, Array]:
         """What one draw of noise on the inputs adds to `of_record`, its even part left out.
 
-        The draw is a `share` of the noise, and what it adds is scaled up. The record has noise of
-        its own already: with a whole draw more, a function with a kink where an input rests, as the
-        sign of a rate, shows 1/sqrt(2) of what that noise gives to it.
+        The draw is `REMOVAL.drawn_share` of the noise, and what it adds is scaled up. The record
+        has noise of its own already: with a whole draw more, a function with a kink where an input
+        rests, as the sign of a rate, shows 1/sqrt(2) of what that noise gives to it.
 
         Channels without noise take no part in the draw: candidates that bring one leave it as it
         is.
         """
-        w = np.zeros(self.wide.data[k].u.shape)
+        w, share = np.zeros(self.wide.data[k].u.shape), REMOVAL.drawn_share
         noisy = np.flatnonzero(sd > 0)
         w[:, noisy] = share * sd[noisy] * rng.standard_normal((len(w), len(noisy)))
         up, down = (self.of_record(x, k, sign * w) for sign in (1.0, -1.0))

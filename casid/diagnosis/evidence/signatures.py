@@ -24,6 +24,7 @@ from casid.diagnosis.evidence.linearised_path import Linearised, Motion
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.feedback import (
     not_felt_yet,
     one_sample_late,
@@ -104,7 +105,7 @@ class Regression:
             own, *noisy = (self._stack(motion) for motion in motions)
             parts.append(own)
             if noisy:
-                drawn.append((noisy[0] - noisy[1]) / (2 * SCORES.drawn_share))
+                drawn.append((noisy[0] - noisy[1]) / (2 * REMOVAL.drawn_share))
         whole = np.concatenate(parts)
         n = len(x)
         self.e, self.tangent, self.psi = whole[:, 0], whole[:, 1 : 1 + n], whole[:, 1 + n :]

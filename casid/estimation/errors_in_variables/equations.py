@@ -9,8 +9,9 @@ mean than zero. Everything whitened by the spectrum S of r, all outputs together
 has mean zero at the truth. For a linear model (1) is the gradient of the likelihood of r under
 S(theta), the maximum likelihood of errors in variables where the true input is not modelled
 (Pintelon and Schoukens, System Identification, 2nd ed. 2012, section 9.9). What is simulated for K
-is noise of constant periodogram and random phases, added to the recorded input and subtracted from
-it: K is found without sampling error, and for nonlinear models as for linear ones.
+is noise of constant periodogram and random phases, a share of its size, added to the recorded input
+and subtracted from it: K is found without sampling error, and for nonlinear models as for linear
+ones.
 
 The slope of the mean of (1) is -A, with A = T'T less what noise gives to it. The part of dG w that
 is a multiple of r(w) leaves (1), so that its variance is
@@ -36,6 +37,7 @@ from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
 
 from casid.arrays import TINY, Array, BoolArray
+from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.filled_noise import filled_spectrum
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -121,7 +123,7 @@ def columns_of(
     `drawn` is noise of unit variance; by default one whose power is the same in every draw.
     """
     inputs = list(criterion.model.inputs)
-    weights = criterion.weights
+    weights, share = criterion.weights, REMOVAL.drawn_share
     out = []
     for e, d in enumerate(criterion.data):
         at = criterion.simulated(x, e)
@@ -135,10 +137,10 @@ def columns_of(
                 omega = np.linspace(0.0, 2 * np.pi * (d.N // 2) / d.N, d.N // 2 + 1)
                 root = np.sqrt(filled_spectrum(d.filled[name], hold, omega))
                 own = irfft(root * rfft(own), d.N)
-            w[:, inputs.index(name)] = input_sd[name] * own
+            w[:, inputs.index(name)] = share * input_sd[name] * own
             whole = replace(d, used=np.ones_like(d.used))
             up, down = (_simulated(criterion, x, e, replace(whole, u=d.u + s * w)) for s in (1, -1))
-            moved, turned = (0.5 * (a - b) for a, b in zip(up, down, strict=True))
+            moved, turned = ((a - b) / (2 * share) for a, b in zip(up, down, strict=True))
             moved *= weights
             turned *= weights[:, None]
             noise.append(NoiseColumns(name, input_sd[name], moved, turned))

@@ -28,6 +28,14 @@ class Removal:
     agrees: float = _is(
         0.99, "level of the likelihood ratio up to which a residual agrees with a floor", _TEST
     )
+    drawn_share: float = _is(
+        0.25,
+        "of an input's noise, the size of the draw that shows what it gives to a score: of a "
+        "function with a kink where an input rests, 1/sqrt(1 + share^2) of it",
+        "tests/diagnosis/evidence/test_score_bias.py",
+        "Stein, Ann. Statist. 9 (1981) 1135-1151, exact as the share goes to zero; the draw's own "
+        "variance grows as its inverse",
+    )
     steps: int = _is(20, "Gauss-Newton steps towards the root", _TEST)
     longest_step: float = _is(
         25.0, "standard errors of one step: further away nothing is linear", _TEST

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -544,3 +545,44 @@ def test_errors_are_those_of_noise_that_is_multiplied(records: int) -> None:
         z.append([(found.fit.values[n] - true) / sd[n] for n, true in truth.items()])
     assert np.all(np.abs(np.mean(z, axis=0)) < 3 / np.sqrt(records))
     assert np.all(np.mean(np.square(z), axis=0) < 1 + 3 * np.sqrt(2 / records))
+
+
+def rubbing(seed: int) -> tuple[casid.Model, casid.Record]:
+    """A mass on a spring, with dry friction that holds it where its noisy force rests."""
+    m = casid.Model("rubbing")
+    x, v, F = m.state("x", "m"), m.state("v", "m/s"), m.input("F", "N", hold="zoh")
+    k, d = m.parameter("k", "N/m", start=30.0), m.parameter("d", "N s/m", start=0.5, lower=0.0)
+    dry = m.parameter("F_c", "N", start=0.5, lower=0.0)
+    terms = [F, -k * x, -d * v, -dry * ca.tanh(v / 0.05)]
+    m.derivative(x, v)
+    m.balance(v, "mass", inertia=m.constant("m", 1.0, "kg"), terms=terms, unit="N")
+    m.output("x", x, "m")
+
+    rng = np.random.default_rng(seed)
+    force = np.repeat(rng.choice([0.0, 0.0, 3.0, 6.0], 20) * rng.choice([-1, 1], 20), 150)
+    y, at, speed, h = np.empty(3000), 0.0, 0.0, 1e-3
+    for i in range(3000):
+        y[i] = at
+        for _ in range(10):
+            a = force[i] - 40.0 * at - 0.8 * speed - np.tanh(speed / 0.05)
+            at, speed = at + h * (speed + h / 2 * a), speed + h * a
+    columns = {"x": y + 1e-3 * rng.standard_normal(3000)}
+    columns["F"] = force + 0.3 * rng.standard_normal(3000)
+    return m, casid.Record(columns, {"x": "m", "F": "N"}, Ts=0.01)
+
+
+@pytest.mark.parametrize("records", [6, pytest.param(40, marks=pytest.mark.slow)])
+def test_errors_are_those_of_noise_that_friction_lets_through_now_and_then(records: int) -> None:
+    """It moves a mass that slides, and none that sticks: an average of both is neither."""
+    z = []
+    for seed in range(records):
+        system, data = rubbing(seed)
+        fit = fit_model(system, [casid.Experiment(data, {}, "r")], ONE_START)
+        found = without_input_noise(fit, {})
+        assert found.covariance is not None
+        sd = dict(zip(fit.criterion.names, np.sqrt(np.diag(found.covariance)), strict=True))
+        truth = {"k": 40.0, "d": 0.8, "F_c": 1.0}
+        z.append([(found.fit.values[n] - true) / sd[n] for n, true in truth.items()])
+    # What friction that is not linear leaves is half a standard error at most.
+    assert np.all(np.abs(np.mean(z, axis=0)) < 0.5 + 3 / np.sqrt(records))
+    assert np.all(np.mean(np.square(z), axis=0) < 1.25 + 3 * np.sqrt(2 / records))
