@@ -16,6 +16,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -82,11 +83,11 @@ def two_positions(F: np.ndarray, f: np.ndarray) -> np.ndarray:
     return out
 
 
-def with_drag() -> casid.Model:
-    """One mass on a spring, with drag."""
+def with_drag(known: bool = True) -> casid.Model:
+    """One mass on a spring, with drag, and a force without noise unless it is not `known`."""
     m = casid.Model("mass with drag")
     x, v = m.state("x", "m"), m.state("v", "m/s")
-    F = m.input("F", "N", hold="zoh", known=True)
+    F = m.input("F", "N", hold="zoh", known=known)
     k, M = m.parameter("k", "N/m", start=45.0), m.parameter("M", "kg", start=1.8, lower=0.1)
     d = m.parameter("d_2", "N s^2/m^2", start=0.5)
     m.derivative(x, v)
@@ -154,6 +155,12 @@ def main() -> int:
         ],
         "mass with drag": [
             ("simulation error", with_drag, record(dragged(F, nothing), F, rng), {}),
+            (
+                "noise of 1 N on the force",
+                partial(with_drag, known=False),
+                record(dragged(F, nothing), F + rng.standard_normal(N), rng),
+                {},
+            ),
             (
                 "unmeasured force",
                 with_drag,

@@ -15,7 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.linalg import expm
 from scipy.linalg.lapack import dtbtrs
@@ -23,6 +26,11 @@ from scipy.linalg.lapack import dtbtrs
 from casid.arrays import Array, BoolArray
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise_response import Steps
+
+COMPILED = 6
+"""States up to which a recursion of CasADi is faster than one of NumPy's small matrices."""
+BLOCK = 256
+"""Samples that it takes at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,22 +67,15 @@ class VaryingInnovations:
 
     def __init__(self, process: Process, used: BoolArray | None = None) -> None:
         self.process, self._used = process, used
-        a, c, P, R = process.a, process.c, process.P, process.R
+        a, c, R = process.a, process.c, process.R
         N, n, m = c.shape
         white = np.broadcast_to(R, (N, n, n))
         if used is not None:  # what is missing shows nothing, and has one unit of white noise
             c = c * used[:, :, None]
             white = np.where(used[:, :, None] & used[:, None, :], R, np.eye(n))
         self._c = c
-        self._gains, self._roots = np.empty((N, m, n)), np.empty((N, n, n))
-        inverse_root = _inverse_root_of_one if n == 1 else _inverse_root
-        for k in range(N):
-            seen = P @ c[k].T
-            root = inverse_root(c[k] @ seen + white[k])
-            half = a[k] @ seen @ root.T
-            self._roots[k], self._gains[k] = root, half @ root
-            P = a[k] @ P @ a[k].T - half @ half.T + process.Q[k]
-            P = 0.5 * (P + P.T)
+        sweep = _by_casadi if m <= COMPILED else _by_numpy
+        self._gains, self._roots = sweep(process, c, white)
         self._band = _bands(a - self._gains @ c)
 
     def whiten(self, columns: Array) -> Array:
@@ -115,15 +116,58 @@ class VaryingInnovations:
         return _solved(band, states, "N")
 
 
+def _by_numpy(process: Process, c: Array, white: Array) -> tuple[Array, Array]:
+    """Gains (N, m, n) and inverse roots (N, n, n) of the covariances, sample by sample."""
+    N, n, m = c.shape
+    a, P = process.a, process.P
+    gains, roots = np.empty((N, m, n)), np.empty((N, n, n))
+    for k in range(N):
+        seen = P @ c[k].T
+        root = _inverse_root(c[k] @ seen + white[k])
+        half = a[k] @ seen @ root.T
+        roots[k], gains[k] = root, half @ root
+        P = a[k] @ P @ a[k].T - half @ half.T + process.Q[k]
+        P = 0.5 * (P + P.T)
+    return gains, roots
+
+
+def _by_casadi(process: Process, c: Array, white: Array) -> tuple[Array, Array]:
+    """The same of few states, in blocks, in a fifth of the time."""
+    N, n, m = c.shape
+    past = -N % BLOCK  # the last block is filled up with its last sample
+    parts = [
+        np.concatenate([part, np.broadcast_to(part[-1:], (past, *part.shape[1:]))])
+        for part in (process.a, c, process.Q, white)
+    ]
+    gains, roots = np.empty((N + past, m, n)), np.empty((N + past, n, n))
+    P, sweep = process.P, _block(m, n)
+    for first in range(0, N, BLOCK):
+        rows = slice(first, first + BLOCK)
+        along = (part[rows].swapaxes(0, 1).reshape(part.shape[1], -1) for part in parts)
+        after, root, gain = (np.array(found) for found in sweep(P, *along))
+        P = after[:, -m:]
+        roots[rows] = root.reshape(n, BLOCK, n).swapaxes(0, 1)
+        gains[rows] = gain.reshape(m, BLOCK, n).swapaxes(0, 1)
+    if not np.all(np.isfinite(roots[:N])):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+    return gains[:N], roots[:N]
+
+
+@lru_cache(maxsize=16)
+def _block(m: int, n: int) -> Any:
+    """The Riccati recursion of (1) over a block of samples, of m states and n outputs."""
+    P, a, Q = (ca.SX.sym(name, m, m) for name in ("P", "a", "Q"))
+    c, R = ca.SX.sym("c", n, m), ca.SX.sym("R", n, n)
+    seen = P @ c.T
+    root = ca.solve(ca.chol(c @ seen + R).T, ca.SX.eye(n))
+    half = a @ seen @ root.T
+    after = a @ P @ a.T - half @ half.T + Q
+    step = ca.Function("step", [P, a, c, Q, R], [0.5 * (after + after.T), root, half @ root])
+    return step.mapaccum(BLOCK)
+
+
 def _inverse_root(covariance: Array) -> Array:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-
-
-def _inverse_root_of_one(variance: Array) -> Array:
-    """The same of one output, in a tenth of the time."""
-    if not variance[0, 0] > 0.0:
-        raise np.linalg.LinAlgError("Matrix is not positive definite")
-    return np.asarray(variance**-0.5)
 
 
 class PartialVarying:

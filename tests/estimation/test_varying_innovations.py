@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from casid.estimation import varying_innovations as varying
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise_response import Steps
 from casid.estimation.varying_innovations import (
@@ -71,6 +74,27 @@ def test_the_sum_of_squares_and_the_determinant_are_those_of_the_whole_record():
     e = of.whiten(r).reshape(2 * N, 3)
     assert e.T @ e == pytest.approx(flat.T @ np.linalg.solve(whole, flat), rel=1e-8)
     assert of.log_determinant(N) == pytest.approx(np.linalg.slogdet(whole)[1], abs=1e-6)
+
+
+def test_many_states_are_filtered_as_few_are(monkeypatch: pytest.MonkeyPatch):
+    """CasADi's recursion in blocks, the last of them not full, and NumPy's sample by sample."""
+    monkeypatch.setattr(varying, "BLOCK", 16)
+    varying._block.cache_clear()
+    few = found()
+    monkeypatch.setattr(varying, "COMPILED", 0)
+    many = found()
+    varying._block.cache_clear()
+    r = np.random.default_rng(5).standard_normal((N, 2, 3))
+    assert few.whiten(r) == pytest.approx(many.whiten(r), rel=1e-10, abs=1e-12)
+    assert few.log_determinant(N) == pytest.approx(many.log_determinant(N), rel=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [0, 6])
+def test_a_variance_below_zero_is_refused(compiled: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(varying, "COMPILED", compiled)
+    process = found().process
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        VaryingInnovations(replace(process, R=-1e6 * process.R))
 
 
 def test_the_transpose_is_that_of_the_filter():
