@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from casid.diagnosis.search.candidates import Adopted, name_of
 from casid.diagnosis.search.friction_speeds import likeliest_speed, steps_needed
@@ -37,6 +38,17 @@ def with_sharp_friction(
     if fit is found.fit:
         return replace(found, adopted=tuple(adopted))
     return refine.refined(found, adopted, fit)
+
+
+def with_sharp_friction_beside(refine: Refinement, found: Adoption) -> Adoption:
+    """The same of what was found beside a disturbance, where that is likelier; else as it was.
+
+    The disturbance takes up what a blunt reversal leaves, and the gain beside it hardly shows the
+    sharpness: without a spring each reversal leaves a step of the position behind.
+    """
+    if not any(map(_is_dry, found.adopted)):
+        return found
+    return refine.likelier_beside(found, partial(with_sharp_friction, refine))
 
 
 def without_blunt_reversals(refine: Refinement, found: Adoption) -> Adoption:

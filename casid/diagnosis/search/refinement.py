@@ -224,12 +224,21 @@ class Refinement:
 
         A disturbance takes up what a change leaves that was placed too early or too late.
         """
-        if found.fit is None or not any(a.candidate.effect.sets_in for a in found.adopted):
+        if not any(a.candidate.effect.sets_in for a in found.adopted):
+            return found
+        return self.likelier_beside(found, self.in_time)
+
+    def likelier_beside(self, found: Adoption, refined: Callable[[Adoption], Adoption]) -> Adoption:
+        """What was found beside a disturbance, `refined` by its simulation alone; or as it was.
+
+        Whichever is likelier with the disturbance that it leaves.
+        """
+        if found.fit is None:
             return found
         placed, fit = self.with_causes([a.candidate for a in found.adopted], found.fit)
         adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
-        moved = self.in_time(replace(found, adopted=tuple(adopted), fit=fit))
-        return min(found, moved, key=lambda each: minus_log_likelihood(each.at))
+        new = refined(replace(found, adopted=tuple(adopted), fit=fit))
+        return min(found, new, key=lambda each: minus_log_likelihood(each.at))
 
     def main(self, found: Adoption) -> Adoption:
         """Without what explains too little and carries no parameter, the smallest first.

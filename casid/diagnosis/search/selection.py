@@ -21,6 +21,7 @@ from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.disturbance_alone import disturbance_alone, pays_beside
 from casid.diagnosis.search.friction_sharpness import (
     with_sharp_friction,
+    with_sharp_friction_beside,
     without_blunt_reversals,
 )
 from casid.diagnosis.search.powers_of_signals import with_better_powers
@@ -92,6 +93,7 @@ def adopt_causes(
     superfluous = "the test whether later causes make earlier ones superfluous"
     if under is not None:
         found = attempt(superfluous, partial(refine.significant, found)) or found
+        found = attempt(SHARPNESS, partial(with_sharp_friction_beside, refine, found)) or found
         return attempt(INSTANTS, partial(refine.in_time_beside, found)) or found
     # A cause matters by what it explains in units of the error that all causes leave.
     what = "the fit of the extended model in units of its errors"

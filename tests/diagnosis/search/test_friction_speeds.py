@@ -9,6 +9,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
+from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.search.candidates import Adopted, Candidate
+from casid.diagnosis.search.friction_sharpness import with_sharp_friction_beside
+from casid.diagnosis.search.refinement import Adoption, Refinement
+from casid.diagnosis.search.rounds import Search
+from casid.estimation.holdout import split_records
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.effects.balance_effects import coulomb_friction
 
 TS, FRICTION, SHARP = 0.005, 0.8, 0.015  # s, N, m/s
 
@@ -135,3 +143,49 @@ def test_friction_that_sticks_is_sized_within_its_error_and_nothing_makes_up_for
     assert size.std_error < 0.003 * 1.2
     assert found.extended is not None
     assert "dry friction" in found.extended.uncertainty.assumes
+
+
+def cart() -> casid.Model:
+    m = casid.Model("cart")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    F = m.input("F", "N", hold="zoh", known=True)
+    d = m.parameter("d", "N s/m", start=1.0, lower=0.0)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=m.constant("m", 1.0, "kg"), terms=[F, -d * v])
+    m.output("position", x, "m")
+    return m
+
+
+def driven_cart(friction: float, sharp: float, Ts: float = 0.1) -> casid.Record:
+    """By SciPy: no spring takes the position back, so that every reversal leaves a step of it."""
+    rng = np.random.default_rng(2)
+    F, x, state = np.repeat(rng.uniform(-3, 3, 20), 8), np.empty(160), np.zeros(2)
+
+    def slope(_: float, s: np.ndarray, force: float) -> list[float]:
+        return [s[1], force - 0.5 * s[1] - friction * np.tanh(s[1] / sharp)]
+
+    for i, force in enumerate(F):
+        x[i] = state[0]
+        state = solve_ivp(slope, (0.0, Ts), state, "LSODA", args=(force,), rtol=1e-7).y[:, -1]
+    x += 1e-3 * rng.standard_normal(x.size)
+    return casid.Record({"position": x, "F": F}, {"position": "m", "F": "N"}, Ts)
+
+
+def test_a_disturbance_keeps_no_reversal_blunt():
+    """Ten times too blunt, friction seems to leave a disturbance; as sharp as it is, none."""
+    model, once = cart(), FitSettings(starts=1)
+    split = split_records([casid.Experiment(driven_cart(0.5, 0.01))], 0.0)
+    base = fit_model(model, split.fitted, once)
+    weighing = Weighing(split.fitted).with_disturbances()
+    at, units = weighing.weigh(model, base), base.criterion.weights
+    refine = Refinement(Search(weighing, {}), split, once, units, at, base)
+    effect = coulomb_friction(model, "force", 0.1)
+    extended, names = effect.extended(model, starts={"F_c": 0.5})
+    beside = weighing.weigh(extended, fit_model(extended, split.fitted, once, weights=units))
+    blunt = Candidate(effect, names, extended, beside.fit, 0.0, 0.0, 9.0)
+    assert beside.noise.source_sd["force"] > 0.01  # N
+    found = Adoption((Adopted(blunt, 0.0, ()),), beside, beside.fit)
+    sharp = with_sharp_friction_beside(refine, found)
+    assert sharp.at.noise.source_sd["force"] == pytest.approx(0.0, abs=2e-3)
+    assert sharp.adopted[0].candidate.effect.constants["speed"] == pytest.approx(0.01, rel=0.3)
+    assert sharp.at.fit.values["F_c"] == pytest.approx(0.5, abs=0.005)
