@@ -35,6 +35,7 @@ from casid.diagnosis.search.refinement import (
 )
 from casid.diagnosis.search.residual_check import is_more_than_noise, is_noise_alone
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.same_event import with_last_event_renamed
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     Soundness,
@@ -83,6 +84,7 @@ def adopt_causes(
         while len(state.adopted) < search.max_causes and not state.is_done and state.adopt_next():
             state.exchange_last()
             if under is None:
+                state.rename_event(refine)
                 state.sharpen(refine)
                 state.set_in_motion(refine)
                 state.reshape(refine)
@@ -375,6 +377,12 @@ class _Selection:
         """
         what = "the comparison of the causes with their rivals by what was held out"
         self._take(self.search.attempts.attempt(what, partial(refine.exchanged, self.found)))
+
+    def rename_event(self, refine: Refinement) -> None:
+        """Name what was adopted last, and sets in, by what explains it best at its instant."""
+        what = "the comparison of what sets in with other changes at its instant"
+        renamed = partial(with_last_event_renamed, refine, self.found)
+        self._take(self.search.attempts.attempt(what, renamed))
 
     def sharpen(self, refine: Refinement) -> None:
         """Let dry friction that was adopted last reverse as sharply as the records show."""
