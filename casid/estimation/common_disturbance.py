@@ -110,6 +110,8 @@ class CommonSearch:
         found = min(tried, key=lambda c: c.criterion, default=least)
         while found.criterion < least.criterion:
             least = found
+            if _common_of(found) is None:
+                break  # in its search it came to nothing
             found = min(self._wider(chosen, found, felt), key=lambda c: c.criterion, default=found)
         return least if any(s.parts for s in least.spectra.values()) else None
 

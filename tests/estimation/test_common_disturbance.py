@@ -125,6 +125,23 @@ def test_a_force_that_was_found_nearby_keeps_its_places_and_has_its_ratio_anew()
     assert common(apart) is None
 
 
+def test_a_common_force_that_comes_to_nothing_in_its_search_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """What is left of it may be likelier, with fewer spectra; it is widened no further."""
+    rng = np.random.default_rng(1)
+    fit, noise = noise_of(0.1 * coloured(rng, 5 * N, TS / 5)[:, None] * [1.0, 0.6])
+    white = estimate_noise(fit.criterion, fit.x)
+    residual = fit.criterion.simulated(fit.x, 0).residual
+    search = CommonSearch(white, [residual], [TS], list(fit.criterion.outputs), "ab", ({}, {}))
+    apart = dataclasses.replace(white, spectra={"a": DisturbanceSpectrum(0.4)})
+    nothing = dataclasses.replace(
+        search.fitted(white.output_sd, white.source_sd, {}), criterion=-np.inf
+    )
+    monkeypatch.setattr(CommonSearch, "_best_of_pair", lambda *_: nothing)
+    assert search.best(apart) is None
+
+
 def test_its_residuals_are_white_and_independent_under_its_noise_alone():
     """What it moves in two outputs is coherent: independent forces leave that in them."""
     rng = np.random.default_rng(4)
