@@ -10,6 +10,7 @@ from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.residual_tests import NOISE, residual_tests
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
+from tests.support import ventilated_room
 
 TS, N = 30.0, 1000
 VOLUME, RATE = 2e-3, 1.3e-3
@@ -83,49 +84,19 @@ def test_a_response_that_hardly_varies_stays_the_average():
     assert not at.noise.varying
 
 
-def ventilated_room() -> casid.Model:
-    """Supply air replaces the air of a room that people breathe out into."""
-    m = casid.Model("room")
-    c = m.state("c", "1", start=5e-4)
-    supply = m.input("supply", "m^3/h", hold="zoh")
-    people = m.input("people", "1", hold="zoh", known=True)
-    outside = m.constant("outside", 425e-6, "1")
-    volume = m.constant("V", 60.0, "m^3")
-    each = m.parameter("each", "m^3/h", start=0.02, lower=0.0)
-    leak = m.parameter("leak", "m^3/h", start=10.0, lower=0.0)
-    terms = [supply * (outside - c), leak * (outside - c), people * each]
-    m.balance(c, "room", inertia=volume, terms=terms)
-    m.output("c", c, "1")
-    return m
-
-
-def breathing(seed: int) -> casid.Record:
-    """A noisy supply, whose noise moves the room by as much as its air is worse than outside."""
-    rng = np.random.default_rng(seed)
-    people = np.repeat(rng.integers(0, 7, 24), 60).astype(float)
-    people[:480] = people[-300:] = 0.0
-    supply = np.repeat(rng.choice([25.0, 70.0, 120.0, 200.0], 12), 120)
-    c, x = np.empty(1440), 450e-6
-    for i in range(1440):
-        c[i] = x
-        end = (people[i] * 0.0185 + (supply[i] + 15.0) * 425e-6) / (supply[i] + 15.0)
-        x = end + (x - end) * np.exp(-(supply[i] + 15.0) / 60.0 / 60.0)
-    columns = {"c": c + 2e-6 * rng.standard_normal(1440), "people": people}
-    columns["supply"] = (supply + 12.0 * rng.standard_normal(1440)) / 3600.0
-    return casid.Record(columns, {"c": "1", "people": "1", "supply": "m^3/s"}, Ts=60.0)
-
-
 def test_noise_of_an_input_that_is_multiplied_is_no_force_that_comes_and_goes():
     """By the average response a force in its balance fits as well; along the path it does not."""
     for seed in range(3):
-        experiments = [casid.Experiment(breathing(seed), {}, "r")]
-        criterion = SimulationError(ventilated_room(), experiments)
+        experiments = [casid.Experiment(ventilated_room.record(seed), {}, "r")]
+        criterion = SimulationError(ventilated_room.model(), experiments)
         fit = minimize_simulation_error(criterion, throw=False)
         weighing = Weighing(experiments).with_disturbances()
         at = weighing.weigh(fit.criterion.model, fit)
         assert at.noise.varying
         assert at.noise.source_sd["room"] == 0.0
         # The floor of 1440 samples has a standard error of 4 %, steps leave 2 %.
-        assert at.noise.source_sd["supply"] * 3600 == pytest.approx(12.0, rel=3 * 0.04 + 0.02)
+        assert at.noise.source_sd["supply"] * 3600 == pytest.approx(
+            ventilated_room.NOISE, rel=3 * 0.04 + 0.02
+        )
         tests = residual_tests(at, experiments, alpha=0.01)
         assert tests.verdict == NOISE

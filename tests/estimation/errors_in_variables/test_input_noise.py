@@ -5,6 +5,7 @@ The truth is a difference equation of its own: v' = -a v + b u, with u a line be
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -21,6 +22,7 @@ from casid.estimation.errors_in_variables.removal import Corrected, without_inpu
 from casid.estimation.noise import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
+from tests.support import ventilated_room
 
 A, B, TS = 2.0, 3.0, 0.05
 INPUT, OUTPUT = 0.5, 0.02
@@ -504,50 +506,33 @@ def test_a_step_to_where_the_simulation_overflows_ends_the_search(monkeypatch) -
     assert found.fit.values == least_squares
 
 
-def ventilated(seed: int) -> tuple[casid.Model, casid.Record]:
-    """A room, whose supply is noisy and multiplies how much worse its air is than outside."""
-    m = casid.Model("room")
-    c = m.state("c", "1", start=5e-4)
-    supply = m.input("supply", "m^3/h", hold="zoh")
-    people = m.input("people", "1", hold="zoh", known=True)
-    outside, volume = m.constant("outside", 425e-6, "1"), m.constant("V", 60.0, "m^3")
-    each = m.parameter("each", "m^3/h", start=0.02, lower=0.0)
-    leak = m.parameter("leak", "m^3/h", start=10.0, lower=0.0)
-    terms = [supply * (outside - c), leak * (outside - c), people * each]
-    m.balance(c, "room", inertia=volume, terms=terms)
-    m.output("c", c, "1")
-
-    rng = np.random.default_rng(seed)
-    there = np.repeat(rng.integers(0, 7, 24), 60).astype(float)
-    there[:480] = there[-300:] = 0.0
-    flow = np.repeat(rng.choice([25.0, 70.0, 120.0, 200.0], 12), 120)
-    y, x = np.empty(1440), 450e-6
-    for i in range(1440):
-        y[i] = x
-        end = 425e-6 + there[i] * 0.0185 / (flow[i] + 15.0)
-        x = end + (x - end) * np.exp(-(flow[i] + 15.0) / 60.0 / 60.0)
-    columns = {"c": y + 2e-6 * rng.standard_normal(1440), "people": there}
-    columns["supply"] = (flow + 12.0 * rng.standard_normal(1440)) / 3600.0
-    return m, casid.Record(columns, {"c": "1", "people": "1", "supply": "m^3/s"}, Ts=60.0)
+def errors_of(
+    models: Callable[[], casid.Model],
+    record_of: Callable[[int], casid.Record],
+    truth: Mapping[str, float],
+    records: int,
+) -> np.ndarray:
+    """(records, parameters) what the estimates err by, in their standard errors."""
+    z = []
+    for seed in range(records):
+        fit = fit_model(models(), [casid.Experiment(record_of(seed), {}, "r")], ONE_START)
+        found = without_input_noise(fit, {})
+        assert found.covariance is not None
+        sd = dict(zip(fit.criterion.names, np.sqrt(np.diag(found.covariance)), strict=True))
+        z.append([(found.fit.values[n] - true) / sd[n] for n, true in truth.items()])
+    return np.array(z)
 
 
 @pytest.mark.parametrize("records", [8, pytest.param(60, marks=pytest.mark.slow)])
 def test_errors_are_those_of_noise_that_is_multiplied(records: int) -> None:
     """Its power goes with the state: by an average response the leak had a third of its error."""
-    z = []
-    for seed in range(records):
-        room, data = ventilated(seed)
-        fit = fit_model(room, [casid.Experiment(data, {}, "r")], ONE_START)
-        found = without_input_noise(fit, {})
-        assert found.covariance is not None
-        sd = dict(zip(fit.criterion.names, np.sqrt(np.diag(found.covariance)), strict=True))
-        truth = {"each": 0.0185 / 3600, "leak": 15.0 / 3600}
-        z.append([(found.fit.values[n] - true) / sd[n] for n, true in truth.items()])
+    truth = {"each": ventilated_room.EACH, "leak": ventilated_room.LEAK}
+    z = errors_of(ventilated_room.model, ventilated_room.record, truth, records)
     assert np.all(np.abs(np.mean(z, axis=0)) < 3 / np.sqrt(records))
     assert np.all(np.mean(np.square(z), axis=0) < 1 + 3 * np.sqrt(2 / records))
 
 
-def rubbing(seed: int) -> tuple[casid.Model, casid.Record]:
+def rubbing() -> casid.Model:
     """A mass on a spring, with dry friction that holds it where its noisy force rests."""
     m = casid.Model("rubbing")
     x, v, F = m.state("x", "m"), m.state("v", "m/s"), m.input("F", "N", hold="zoh")
@@ -557,7 +542,11 @@ def rubbing(seed: int) -> tuple[casid.Model, casid.Record]:
     m.derivative(x, v)
     m.balance(v, "mass", inertia=m.constant("m", 1.0, "kg"), terms=terms, unit="N")
     m.output("x", x, "m")
+    return m
 
+
+def rubbed(seed: int) -> casid.Record:
+    """It rests half of the time."""
     rng = np.random.default_rng(seed)
     force = np.repeat(rng.choice([0.0, 0.0, 3.0, 6.0], 20) * rng.choice([-1, 1], 20), 150)
     y, at, speed, h = np.empty(3000), 0.0, 0.0, 1e-3
@@ -568,21 +557,13 @@ def rubbing(seed: int) -> tuple[casid.Model, casid.Record]:
             at, speed = at + h * (speed + h / 2 * a), speed + h * a
     columns = {"x": y + 1e-3 * rng.standard_normal(3000)}
     columns["F"] = force + 0.3 * rng.standard_normal(3000)
-    return m, casid.Record(columns, {"x": "m", "F": "N"}, Ts=0.01)
+    return casid.Record(columns, {"x": "m", "F": "N"}, Ts=0.01)
 
 
 @pytest.mark.parametrize("records", [6, pytest.param(40, marks=pytest.mark.slow)])
 def test_errors_are_those_of_noise_that_friction_lets_through_now_and_then(records: int) -> None:
     """It moves a mass that slides, and none that sticks: an average of both is neither."""
-    z = []
-    for seed in range(records):
-        system, data = rubbing(seed)
-        fit = fit_model(system, [casid.Experiment(data, {}, "r")], ONE_START)
-        found = without_input_noise(fit, {})
-        assert found.covariance is not None
-        sd = dict(zip(fit.criterion.names, np.sqrt(np.diag(found.covariance)), strict=True))
-        truth = {"k": 40.0, "d": 0.8, "F_c": 1.0}
-        z.append([(found.fit.values[n] - true) / sd[n] for n, true in truth.items()])
+    z = errors_of(rubbing, rubbed, {"k": 40.0, "d": 0.8, "F_c": 1.0}, records)
     # What friction that is not linear leaves is half a standard error at most.
     assert np.all(np.abs(np.mean(z, axis=0)) < 0.5 + 3 / np.sqrt(records))
     assert np.all(np.mean(np.square(z), axis=0) < 1.25 + 3 * np.sqrt(2 / records))
