@@ -330,9 +330,9 @@ def estimate_noise(
     shown = seen_through or Seen(used)
     spectra = spectra_of(residuals, responses, sources, ny, shown.windows, absorbed=shown.absorbed)
     require_finite("the residual's spectra", spectra.power, spectra.design)
-    heads = {name: group[0] for group in alike for name in group}
-    floors = {heads[n]: floor for n, floor in shown.floors.items() if n in heads}
-    value = variances(with_floors(spectra, floors, sources), given)
+    floors = {g[0]: shown.floors[n] for g in alike for n in g if n in shown.floors}
+    with_lines = with_floors(spectra, floors, sources)
+    value = variances(with_lines, given)
     output_sd = np.sqrt(np.maximum(value[:ny], spectra.least))
     found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
     is_felt = np.any(spectra.design * value > spectra.floor[:, None], axis=0)
@@ -346,7 +346,7 @@ def estimate_noise(
         responses=responses,
         weights=criterion.weights,
         alike=tuple(alike),
-        covariance=_covariance(with_floors(spectra, floors, sources), value, keys, sought),
+        covariance=_covariance(with_lines, value, keys, sought),
         misfit=whittle(spectra, value),
         used=() if all(mask.all() for mask in used) else used,
         known=known,

@@ -213,10 +213,15 @@ def _mean_slopes(
     return disturbed, e, (a.mean(axis=1), b0, b1, inside, c.mean(axis=1), dd)
 
 
+def may_vary(criterion: SimulationError) -> bool:
+    """True unless the model is linear and constant: then its response is the same all along."""
+    return not all(_linearised(criterion, d.Ts)[3] for d in criterion.data)
+
+
 def steps_along(
     criterion: SimulationError, x: Array, experiment: int, noisy: Collection[str] = ()
-) -> Steps | None:
-    """The steps of a record at every sample; None of a model that is linear and constant.
+) -> Steps:
+    """The steps of a record at every sample.
 
     What sensors and actuators do beyond expressions is left out.
 
@@ -226,9 +231,7 @@ def steps_along(
         common with the residual, and moves the mean of their product.
     """
     d = criterion.data[experiment]
-    disturbed, e, _, is_constant = _linearised(criterion, d.Ts)
-    if is_constant:
-        return None
+    disturbed, e, *_ = _linearised(criterion, d.Ts)
     u = d.u.copy()
     for i, name in enumerate(criterion.model.inputs):
         if name in noisy:

@@ -17,7 +17,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.noise import NoiseModel, estimate_noise
-from casid.estimation.noise_response import Steps, joined_steps, steps_along
+from casid.estimation.noise_response import Steps, joined_steps, may_vary, steps_along
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_innovations import varying_innovations
 
@@ -50,7 +50,7 @@ def with_varying_response(
     """
     records = range(len(criterion.data))
     moving = [n for n, sd in noise.source_sd.items() if sd > 0.0]
-    if not moving or criterion.model.stages or criterion.segments > 1:
+    if not moving or criterion.model.stages or criterion.segments > 1 or not may_vary(criterion):
         return noise
     for e, d in enumerate(criterion.data):
         if d.filled or len(criterion.starts_anew(e)):
@@ -62,10 +62,7 @@ def with_varying_response(
     for alike in _alternatives(noise, criterion, x, known, residuals):
         noisy = _noisy_inputs(alike, criterion)
         if noisy not in along:
-            steps = (steps_along(criterion, x, e, noisy) for e in records)
-            along[noisy] = [each for each in steps if each is not None]
-        if not along[noisy]:
-            return noise
+            along[noisy] = [steps_along(criterion, x, e, noisy) for e in records]
         varying = _along(alike, along[noisy])
         if varying is None:
             continue
@@ -115,7 +112,7 @@ def _alternatives(
 def _noisy_inputs(noise: NoiseModel, criterion: SimulationError) -> tuple[str, ...]:
     """Those whose noise is a noticeable part of the residual's."""
     total = sum(
-        float((noise.spectrum(e) @ noise.weights**2).mean()) for e in range(len(noise.responses))
+        float((noise.spectrum(e) * noise.weights**2).mean()) for e in range(len(noise.responses))
     )
     made = {
         name: noise.source_sd[name] ** 2 * sum(noise.gain(name, r) for r in noise.responses)

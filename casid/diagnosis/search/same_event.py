@@ -77,8 +77,8 @@ def _renamed(
 ) -> tuple[list[Adopted], Fit] | None:
     """The causes with another effect in the place of the last one, and their fit.
 
-    Fitted beside it first, and then alone from there. None where it does not err clearly less: the
-    last one, and what could not be told from it, are no rivals of what does.
+    Fitted beside it first, and then alone from there. None where it does not err clearly less.
+    Where it does, neither the last one nor what could not be told from that is a rival of it.
     """
     model, names = other.extended(fit.criterion.model)
     both = whole_fit(model, refine.split, refine.settings, refine.units, fit.values)

@@ -64,19 +64,18 @@ class InputNoise:
     @property
     def sd(self) -> dict[str, float]:
         """Input -> standard deviation of its noise."""
-        found = self.noise.of_inputs(self._largest)
+        found, bounded = self.noise.of_inputs(self._largest), self.bounded
         return {
-            name: float(np.sqrt(self.floors[name])) if name in self.bounded else sd
+            name: float(np.sqrt(self.floors[name])) if name in bounded else sd
             for name, sd in found.items()
         }
 
     @property
     def bounded(self) -> tuple[str, ...]:
         """Inputs whose noise is that of their floor, or as stated."""
-        found = self.noise.of_inputs(self._largest)
-        largest = self._largest
-        known = self.noise.variance_error
-        return tuple(n for n, sd in found.items() if sd >= largest[n] or known(n) == 0.0)
+        largest, error = self._largest, self.noise.variance_error
+        found = self.noise.of_inputs(largest)
+        return tuple(n for n, sd in found.items() if sd >= largest[n] or error(n) == 0.0)
 
     @property
     def most(self) -> dict[str, float]:
