@@ -28,8 +28,8 @@ Stat. Assoc. 90 (1995) 773-795, for the margin.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import log, sqrt
 from typing import Any
 
@@ -43,6 +43,7 @@ from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import DataError
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import effect_words, law_of
 from casid.presentation import Presented, present
 
 Key = tuple[str, str]
@@ -116,6 +117,7 @@ class Isolability(Presented):
     groups : causes that are indistinguishable in this record, two or more each: |cosine| above
         `PLANNING.same`.
     undetectable : causes that the baseline absorbs; `Diagnosis.undetectable` says why.
+    laws : cause -> the law that it is called by, where it has one (`law_of`).
     """
 
     keys: tuple[Key, ...]
@@ -125,8 +127,13 @@ class Isolability(Presented):
     undetectable: tuple[Key, ...] = ()
     margin: float = PLANNING.margin
     power: float = PLANNING.power
+    laws: Mapping[Key, str] = field(default_factory=dict)
 
     unseen = renamed("unseen", "undetectable")
+
+    def words(self, key: Key) -> str:
+        """A cause as an engineer says it."""
+        return effect_words(*key, description=self.laws.get(key, ""))
 
     def of(self, key: Key) -> tuple[Pair, ...]:
         """The pairs of a cause, its hardest rival first.
@@ -220,6 +227,7 @@ def isolability(
         undetectable=undetectable,
         margin=margin,
         power=power,
+        laws={e.key: law for e in effects if (law := law_of(e.kind, e.description))},
     )
 
 

@@ -27,6 +27,7 @@ from casid.diagnosis.advice.isolability import (
 from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
+from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError, DataError, OutOfTimeError
 from casid.estimation.noise import NoiseModel
@@ -34,7 +35,7 @@ from casid.estimation.noise_response import joined, noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import effect_words, either_words
+from casid.model.effects.names import either_words
 from casid.presentation import Presented
 
 
@@ -65,6 +66,7 @@ class Proposal:
     gain_factor : the energy needed in the present record over that needed here.
     seconds : length of what was predicted.
     bands : frequencies (from, to) that it excites [Hz], where it is an excitation of its own.
+    words : the pair as an engineer says it.
     """
 
     name: str
@@ -76,6 +78,7 @@ class Proposal:
     gain_factor: float
     seconds: float
     bands: tuple[tuple[float, float], ...] = ()
+    words: tuple[str, str] = ("", "")
 
     def is_clearer(self, now: Proposal) -> bool:
         """True if it halves the energy needed, at least, and needs no longer record.
@@ -101,12 +104,14 @@ class Advice(Presented):
     ----------
     now : the same experiment again.
     sentence : the best of them in words.
+    words : the tied causes as an engineer says them.
     """
 
     tied: tuple[Key, ...]
     now: Proposal
     proposals: tuple[Proposal, ...]
     sentence: str
+    words: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
@@ -180,8 +185,9 @@ def next_experiment(
             p.energy_needed,
         )
     )
-    words = [effect_words(*s.effect.key, description=s.effect.description) for s in suspects]
-    return Advice(keys, now, tuple(proposals), advice_sentence(words, now, proposals))
+    words = [name_of(s.effect) for s in suspects]
+    sentence = advice_sentence(words, now, proposals)
+    return Advice(keys, now, tuple(proposals), sentence, tuple(words))
 
 
 def predicted_table(planned: Planned, at: Weighted, effects: Sequence[Effect]) -> ScoreTable:
@@ -234,7 +240,7 @@ class _Rule:
         ]
         table = predicted_table(planned, self.at, effects)
         place = {s.effect.key: i for i, s in enumerate(table.scores)}
-        worst: tuple[float, float, tuple[Key, Key]] | None = None
+        worst: tuple[float, float, tuple[Effect, Effect]] | None = None
         longest = 0.0
         for i, a in enumerate(self.suspects):
             for b in self.suspects[:i]:
@@ -245,25 +251,26 @@ class _Rule:
                 if min(given) <= 0.0:
                     energy = inf  # one of them is undetectable
                 if worst is None or energy > worst[0]:
-                    worst = energy, abs(cosine), (b.effect.key, a.effect.key)
+                    worst = energy, abs(cosine), (b.effect, a.effect)
                 long_enough = planned.seconds * energy / min(given) if isfinite(energy) else inf
                 # Much shorter records than that predicted have other tangents: nothing is promised.
                 least = max(self.least, PLANNING.shortest * planned.seconds)
                 longest = max(longest, long_enough, least)
         assert worst is not None
-        energy, cosine, pair = worst
+        energy, cosine, (first, second) = worst
         before = energy if now is None else now.energy_needed
         gain = 1.0 if now is None else 0.0 if not isfinite(energy) else before / energy
         return Proposal(
             planned.name,
             planned.description,
-            pair,
+            (first.key, second.key),
             float(cosine),
             energy,
             longest,
             gain,
             planned.seconds,
             planned.bands,
+            (name_of(first), name_of(second)),
         )
 
     @staticmethod

@@ -199,7 +199,7 @@ def advice(
         if not rivals:
             continue
         others = either_words(a.words for a in rivals)
-        return f"To separate {c.words} from {others}: {separates(c.kind, c.description)}."
+        return f"To separate {c.words} from {others}: {_next_record(c)}."
     return _of_a_deficient_model(causes, why_undecided, is_better, is_same, doubts)
 
 
@@ -240,13 +240,13 @@ def _of_a_deficient_model(
     if is_same:
         return (
             "Keep the present model: the extended one has the same errors. Diagnose a further "
-            f"record, best with {separates(of_model[0].kind, of_model[0].description)}."
+            f"record, best with {_next_record(of_model[0])}."
         )
     if not is_better:
         return (
             "Keep the present model for now: the extended one fits better, but raises the error of "
             "what was held out. Diagnose a further record, best with "
-            f"{separates(causes[0].kind, causes[0].description)}."
+            f"{_next_record(causes[0])}."
         )
     declared = declares(causes)
     if declared and all(c.kind == "hold" for c in causes):
@@ -254,8 +254,13 @@ def _of_a_deficient_model(
     first = next((c for c in causes if c.kind != "hold"), causes[0])
     return f"{declared} " * bool(declared) + (
         "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
-        f"with {separates(first.kind, first.description)}."
+        f"with {_next_record(first)}."
     )
+
+
+def _next_record(c: Cause) -> str:
+    """The experiment that separates a cause from others."""
+    return separates(c.kind, c.where, c.description)
 
 
 _CORRECT = "Correct the sensor or the logger, or mark these samples as missing."

@@ -26,7 +26,7 @@ from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.requirement import word
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import effect_words, place_words
+from casid.model.effects.names import effect_words, law_of, place_words
 from casid.model.model import Model
 from casid.time_limit import wall_clock
 
@@ -47,6 +47,7 @@ class Undetectable:
         ones alone).
     identifiable : identifiable combinations of them, where a closed form was found in time.
     remedy : how to make the cause detectable.
+    law : that it is called by (`law_of`).
     """
 
     kind: str
@@ -57,6 +58,7 @@ class Undetectable:
     identifiable: tuple[str, ...] = ()
     why: str = ""
     remedy: str = ""
+    law: str = ""
 
     told = renamed("told", "identifiable")
     mend = renamed("mend", "remedy")
@@ -69,7 +71,7 @@ class Undetectable:
     @property
     def words(self) -> str:
         """The cause as an engineer says it, with what it would pass for where that is known."""
-        words = effect_words(self.kind, self.where)
+        words = effect_words(self.kind, self.where, description=self.law)
         if not self.absorbed_by:
             return words
         one = len(self.absorbed_by) == 1
@@ -83,7 +85,8 @@ class Undetectable:
         return plain_fields(self, identifiable="told", remedy="mend")
 
     def __str__(self) -> str:
-        return f"{effect_words(self.kind, self.where)}: {self.reason}. {self.why} {self.remedy}"
+        words = effect_words(self.kind, self.where, description=self.law)
+        return f"{words}: {self.reason}. {self.why} {self.remedy}"
 
 
 def undetectable_effects(
@@ -156,6 +159,7 @@ class _RankTests:
                 why=f"In this record the model's own parameters and initial state reproduce {share}"
                 + ("; a more informative record would show it." if found else "."),
                 remedy=_practical_remedy(effect, self.model, self.experiments),
+                law=law_of(effect.kind, effect.description),
             )
         point = found.points[0]
         groups = confounded_groups(point.information, found.parameters, point.prime)
@@ -172,6 +176,7 @@ class _RankTests:
             identifiable=combinations,
             why=_structural_why(parameters, states, combinations),
             remedy=_structural_remedy(effect, parameters, states),
+            law=law_of(effect.kind, effect.description),
         )
 
     def _has_exact_algebra(self, effect: Effect, new: Model) -> bool:

@@ -76,7 +76,7 @@ def _sharpened(
 ) -> tuple[list[Adopted], Fit]:
     """With the likeliest smoothing speed of one of the causes."""
     own = adopted[i].candidate.effect
-    refine.search.progress(f"choose the sharpness of {name_of(own)}")
+    refine.search.progress(f"choose how sharply {name_of(own)} reverses")
     affordable = min(STEPS.last, most // fit.criterion.n_samples)
     placed: dict[float, list[Adopted]] = {}
 

@@ -35,7 +35,8 @@ def sharpened(
     top = max(c.gain for c in found)
     return [
         refitting.attempts.attempt(
-            f"the sharpness of {name_of(c.effect)}", partial(sharper, refitting, at, c, progress)
+            f"how sharply {name_of(c.effect)} reverses",
+            partial(sharper, refitting, at, c, progress),
         )
         or c
         if c.effect.kind == "coulomb_friction" and c.gain > FRICTION.promising * top
@@ -67,7 +68,7 @@ def sharper(
     floor = float(np.log(_sharpest(found) / finer))
     if floor > start + step / 2:
         return found
-    progress(f"choose the sharpness of {name_of(found.effect)}")
+    progress(f"choose how sharply {name_of(found.effect)} reverses")
     reached, gain = start, found.gain
     for _ in range(FRICTION.steps):
         now = gain_at(max(reached + step, floor))

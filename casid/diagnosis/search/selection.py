@@ -53,8 +53,8 @@ from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import HYSTERESIS_SHAPE, LATE
 
-SHARPNESS = "the sharpness of dry friction"
-BLUNT = "the test of causes that a blunt reversal of dry friction brings about"
+SHARPNESS = "the sharpness of a reversal"
+BLUNT = "the test of causes that a blunt reversal brings about"
 POWERS = "the powers by which parameters change with states and channels"
 INSTANTS = "the instants of changes in the whole records"
 LEAVES_MORE = "it seems to imitate a better law, and leaves more than noise"

@@ -181,6 +181,7 @@ class Ranked:
     gain: float | None  # fall of the criterion after a refit, None where it was not refitted
     status: str  # "named", "cannot be rejected", "rejected", "not significant", "invisible"
     why: str = ""
+    law: str = ""  # that it is called by (`law_of`)
 
 
 def _as_json(p: Estimated) -> dict[str, Any]:

@@ -17,7 +17,10 @@ from casid.estimation.estimate import Estimate
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import ErrorBars
 
-ROUNDED = "; how sharply dry friction reverses is included as far as it is not known"
+ROUNDED = (
+    "; how sharply dry friction, or a constant voltage, reverses is included as far as it is not "
+    "known"
+)
 PLACED = "; the instants of changes are included as far as they are not known"
 
 

@@ -268,6 +268,7 @@ def _remaining(
             chance=chance,
             held_out=over_floors(held) if part is fitted else {},
         ),
+        descriptions={(c.kind, c.where): c.description for c in causes},
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.verdict.cause import Cause, Ranked
+from casid.model.effects.names import law_of
 
 
 def ranking(
@@ -41,5 +42,6 @@ def ranking(
             why = why or "another candidate explains the misfit better"
         else:
             status = "not significant"
-        rows[key] = Ranked(*key, s.p_value, s.adjusted, gains.get(key), status, why)
+        law = law_of(s.effect.kind, s.effect.description)
+        rows[key] = Ranked(*key, s.p_value, s.adjusted, gains.get(key), status, why, law)
     return tuple(rows.values())

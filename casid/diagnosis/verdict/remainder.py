@@ -59,6 +59,7 @@ class Explained:
     kind: str
     where: str
     share: float  # of the excess misfit, 0..1
+    description: str = ""  # of the effect, for its name in words
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
@@ -165,6 +166,7 @@ def what_remains(
     test: str = "",
     false_alarm_rate: float = 0.05,
     noise: NoiseFound | None = None,
+    descriptions: Mapping[tuple[str, str], str] | None = None,
 ) -> Remaining | None:
     """The remainder of the misfit, from the RMS errors of one part of the records.
 
@@ -177,6 +179,7 @@ def what_remains(
     p_value, test : of the test of the remaining residual, and the test's name.
     false_alarm_rate : below it, the test rejects that the remainder is noise.
     noise : what is known of the noise; white, and without chance in the errors, where not given.
+    descriptions : kind and place of a cause -> its description.
 
     Returns
     -------
@@ -189,7 +192,10 @@ def what_remains(
     before = sum(max((baseline[o] / floor[o]) ** 2 - 1, 0.0) for o in over)
     after = sum(max(ratio**2 - 1, 0.0) for ratio in over.values())
     left = min(after / before, 1.0) if before > 0 else 0.0
-    explained = tuple(Explained(k, w, share * (1 - left)) for k, w, share in shares)
+    like = descriptions or {}
+    explained = tuple(
+        Explained(k, w, share * (1 - left), like.get((k, w), "")) for k, w, share in shares
+    )
     return Remaining(
         explained=explained,
         unexplained=left,

@@ -17,13 +17,16 @@ from casid.model.effects.channel_effects import COURSES
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import (
     BESIDE_ITS_ZERO,
-    FLOW,
+    CLAMP,
     GAIN_OF_INPUT,
+    GROWS,
+    OPPOSES,
     OVERFLOW,
     RATE,
     RATE_LIMIT,
     effect_words,
     either_words,
+    law_of,
     place_words,
 )
 from casid.model.effects.parameter_effects import is_scheduled_by_power
@@ -74,31 +77,42 @@ _SEPARATES = {
     "end_stop": "motion up to the stop, and well within it",
     "cogging": "slow turning through several periods, at two speeds",
     "actuator_saturation": "a record at half the command",
-    "rectified": "a record in which it changes its sign, with a second sensor",
+    "rectified": "a record in which {where} passes through zero, beside a sensor that shows its "
+    "sign",
     "lever_arm": "rotation about another point, or a second sensor at a known distance",
     "coulomb_friction": "slow motion and free decays to rest, where dry friction dominates",
     "cubic_stiffness": "excitation at two clearly different amplitudes",
     "deadzone": "motion well inside the play and far beyond it",
-    "offset": "a stretch at rest, or the same manoeuvre mirrored",
+    "offset": "a stretch in which everything rests, or the same motion in the other direction",
     "periodic_disturbance": "a record without excitation, whose spectrum shows the line alone",
     "parameter_drift": "a second record that starts where the first one ends",
     "unknown": "excitation at several amplitudes and frequencies",
-    "extra_input": "a record in which that channel moves while everything else rests",
+    "extra_input": "a record in which {where} moves while everything else rests",
     "parameter_jump": "a second record under constant conditions, with a note of every change of "
-    "load",
-    "scheduled_parameter": "records in each of which that channel is held, at different values",
-    "sensor_bias": "a stretch at rest with the sensor turned over",
-    "time_delay": "wide-band excitation, and an impact that every logger records",
-    "sensor_scale": "a known motion or load: the sensor against a reference",
-    "sensor_lag": "excitation well above 1/tau, where a lag also attenuates and a delay does not",
+    "load or setting",
+    "scheduled_parameter": "records in each of which {source} is held, at different values",
+    "sensor_bias": "a stretch in which {where} is known, at rest or beside a reference instrument",
+    "time_delay": "wide-band excitation, and a sudden change that every channel records at once",
+    "sensor_scale": "{where} beside a reference instrument, over its whole range",
+    "sensor_lag": "excitation at frequencies well above one over its time constant, where a lag "
+    "also attenuates and a delay does not",
     "cross_axis": "a record in which only the other channel moves",
-    "hold": "excitation near a third of the sampling rate, or a look at whether the input is held, "
-    "as a command is, or smooth, as a measured signal is",
+    "hold": "excitation near a third of the sampling rate; or look whether {where} is held, as a "
+    "command is, or smooth, as a measured signal is",
     "actuator_lag": "fast steps of the command, with the actuator's own position recorded",
-    "missing_mode": "a step and a long rest after it, in which that part moves alone",
+    "missing_mode": "a step and a long rest after it, in which the missing part moves alone",
     "saturation": "a record at half the amplitude",
     "outliers": "a check of the logger: cable, range, radio link",
 }
+
+
+_SEPARATES_LAWS = {
+    OPPOSES: "small and large values of both signs: what is constant does not grow with them",
+    GROWS: "steady states at several clearly different levels",
+    OVERFLOW: "a record that stays below the limit, and one that goes beyond it",
+    CLAMP: "a record that stays below the limit, and one that goes beyond it",
+}
+"""The same of laws that circuits and stores have."""
 
 
 _OF_RELATIVES = {
@@ -204,10 +218,9 @@ def says(effect: Effect, column: str = "") -> str:
         return effect.description
     if effect.shape == RATE:
         return says_rate_limit(effect.where, "a rate")
-    if effect.kind != "unknown" and effect.description.startswith((FLOW, OVERFLOW)):
+    if law := law_of(effect.kind, effect.description):
         there = f"the {effect.where} balance" if effect.where.isidentifier() else effect.where
-        comma = "," if "," in effect.description else ""
-        return f"{effect.description}{comma} is missing in {there}"
+        return f"{law}{',' if ',' in law else ''} is missing in {there}"
     if effect.kind == "time_delay" and effect.description:
         return _inputs_do(effect.where, effect.description)
     if effect.kind == "hold" and effect.description:
@@ -241,7 +254,7 @@ def declares(causes: Sequence[Cause]) -> str:
     return f"Declare {' and '.join(each)} in the problem file: no equation changes."
 
 
-def separates(kind: str, description: str = "") -> str:
+def separates(kind: str, where: str = "", description: str = "") -> str:
     """The experiment that separates a kind from its rivals; of a user's kind, that of any shape.
 
     Parameters
@@ -254,7 +267,13 @@ def separates(kind: str, description: str = "") -> str:
         return "steps of the command of several sizes, with the actuator's own position recorded"
     if description.startswith(GAIN_OF_INPUT):
         return "the same input before and after, with what the actuator does recorded beside it"
-    return _SEPARATES.get(kind, _SEPARATES["unknown"])
+    law = law_of(kind, description)
+    for what, experiment in _SEPARATES_LAWS.items():
+        if what in law:
+            return experiment
+    channel, _, source = where.partition(": ")[0].partition("~")
+    text = _SEPARATES.get(kind, _SEPARATES["unknown"])
+    return text.format(where=channel, source=source or "the state")
 
 
 def why_alternative(best: Candidate, other: Candidate) -> str:

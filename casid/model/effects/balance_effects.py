@@ -22,8 +22,8 @@ from casid.model.effects.effect import (
     is_one_sided,
     known_while_null,
 )
-from casid.model.effects.names import FLOW
-from casid.model.effects.place import Place
+from casid.model.effects.names import GROWS, OPPOSES
+from casid.model.effects.place import Place, a_quantity
 from casid.model.effects.places import place_named
 from casid.model.model import Model
 from casid.model.units import is_comparable, same_dimension, unit_quotient
@@ -70,7 +70,7 @@ def quadratic_damping(model: Model, where: str | Place, about: float = 0.0) -> E
         apply,
         sided="positive",
         cost=2 if about else 1,
-        description=_damping_words(place, "square", level.name if about else ""),
+        description=_law_words(place, "square", place.velocity_name, level.name if about else ""),
         declared_units={level.name: shown} if about and shown else {},
     )
 
@@ -87,22 +87,32 @@ def cubic_damping(model: Model, where: str | Place, about: float = 0.0) -> Effec
         p,
         lambda d_3: -d_3 * v**3,
         constants=constants,
-        description=_damping_words(place, "cube", "its mean" if about else ""),
+        description=_law_words(place, "cube", place.velocity_name, "its mean" if about else ""),
     )
 
 
-def _damping_words(place: Place, power: str, level: str) -> str:
-    """What a law of damping is called in a store, which has no rate of motion."""
+def _law_words(place: Place, power: str, name: str, level: str) -> str:
+    """What a law of damping or of a spring is called where the balance is no force's."""
     if place.is_mechanical:
         return place.words
-    name = place.velocity_name or place.where
-    return f"{FLOW} the {power} of {name}{f' from {level}' if level else ''}"
+    of = f"{name or place.where}{f' from {level}' if level else ''}"
+    return f"{a_quantity(place.unit, 'flow')} {GROWS} the {power} of {of}"
+
+
+def _opposing_words(place: Place) -> str:
+    """What takes the place of dry friction where the balance is no force's."""
+    if place.is_mechanical:
+        return place.words
+    what = a_quantity(place.unit, "flow").partition(" ")[2]
+    example = ", as a dead voltage or a brush drop does" if what == "voltage" else ""
+    return f"a constant {what} {OPPOSES} {place.velocity_name or place.where}{example}"
 
 
 def coulomb_friction(model: Model, where: str | Place, speed: float) -> Effect:
     """-F_c tanh(v / v_0): dry friction, smoothed below `speed` = v_0 (rate's SI unit).
 
-    The smoothing keeps the simulation differentiable; it is small against the speeds met.
+    The smoothing keeps the simulation differentiable; it is small against the speeds met. In a
+    balance of voltages it is the dead voltage of a converter, or the drop over brushes or diodes.
     """
     place = place_named(model, where)
     v_0 = carrying_unit(speed)
@@ -113,6 +123,7 @@ def coulomb_friction(model: Model, where: str | Place, speed: float) -> Effect:
         p,
         lambda F_c: -F_c * ca.tanh(place.velocity / v_0),
         sided="positive",
+        description=_opposing_words(place),
         constants={"speed": speed},
     )
 
@@ -131,6 +142,9 @@ def quadratic_stiffness(model: Model, where: str | Place, about: float = 0.0) ->
     return _restoring(model, where, "quadratic_stiffness", 2, about, "both")
 
 
+_DEGREES = {2: "square", 3: "cube"}
+
+
 def _restoring(
     model: Model, where: str | Place, kind: str, power: int, about: float, sided: Sided
 ) -> Effect | None:
@@ -141,7 +155,11 @@ def _restoring(
     unit = unit_quotient(place.unit, place.position_unit, power)
     p = Parameter(f"k_{power}", unit, 0.0)
     constants = {"about": about} if about else {}
-    return force_along(place, kind, p, lambda k: -k * q**power, sided=sided, constants=constants)
+    level = "its mean" if about else ""
+    words = _law_words(place, _DEGREES[power], place.position_name, level)
+    return force_along(
+        place, kind, p, lambda k: -k * q**power, sided=sided, constants=constants, description=words
+    )
 
 
 def deadzone(

@@ -14,7 +14,13 @@ from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.alike_commands import alike_commands
 from casid.model.effects.effect import Effect, Sizes, switched_on
-from casid.model.effects.names import ACTS_LATE, BESIDE_ITS_ZERO, LATER_THAN_RECORDED, RECORDED_LATE
+from casid.model.effects.names import (
+    ACTS_LATE,
+    BESIDE_ITS_ZERO,
+    BETWEEN_SAMPLES,
+    LATER_THAN_RECORDED,
+    RECORDED_LATE,
+)
 from casid.model.effects.place import recorded_inputs
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Model
@@ -396,9 +402,9 @@ def _holds_of_all(model: Model) -> Iterator[Effect]:
 
 
 COURSES: Mapping[Hold, str] = {
-    "zoh": "held between its samples",
-    "foh": "joined by straight lines between its samples",
-    "bandlimited": "band-limited between its samples",
+    "zoh": f"held{BETWEEN_SAMPLES}",
+    "foh": f"joined by straight lines{BETWEEN_SAMPLES}",
+    "bandlimited": f"band-limited{BETWEEN_SAMPLES}",
 }
 """What each hold has an input do."""
 

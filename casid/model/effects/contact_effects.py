@@ -12,8 +12,8 @@ from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import clipped_motion, force_along, stiffness_of
 from casid.model.effects.effect import Effect, known_while_null
-from casid.model.effects.names import OVERFLOW
-from casid.model.effects.place import Place
+from casid.model.effects.names import CLAMP, OVERFLOW
+from casid.model.effects.place import Place, is_electrical
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import CONTACT_RANGES
 from casid.model.model import Model
@@ -103,7 +103,8 @@ def _stop_of(
         place.add(new, force)
         known_while_null(new, names)
 
-    first = place.words if place.is_mechanical else OVERFLOW
+    law = CLAMP if is_electrical(place.unit) else OVERFLOW
+    first = place.words if place.is_mechanical else law
     acts = ", ".join(w for w in (first, _ACTS[side].format(q=name or place.where)) if w)
     shown = model.declared_units.get(name)
     return Effect(

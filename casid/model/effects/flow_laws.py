@@ -17,8 +17,8 @@ import numpy as np
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import bracketed
-from casid.model.effects.place import Place, is_mechanical, is_zero
+from casid.model.effects.names import GROWS, bracketed
+from casid.model.effects.place import Place, a_quantity, is_mechanical, is_zero
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model
@@ -50,7 +50,8 @@ def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
         (Parameter(f"exponent_{suffix}", "1", 1.0, lower=lower, upper=upper),),
         apply,
         shape=f"|{name}|^n",
-        description=f"a flow that grows with a power of {name}, not in proportion to it",
+        description=f"{a_quantity(place.unit, 'flow')} {GROWS} a power of {name}, not in "
+        "proportion to it",
         constants={"reference": typical},
     )
 
@@ -85,7 +86,7 @@ def power_law(
     lower, upper = UNNAMED_EFFECTS.lowest_power, UNNAMED_EFFECTS.highest_power
     shape = " and ".join(f"|{x}|^n" for x in states)
     them = "it" if len(states) == 1 else "them"
-    flow = (
+    power = (
         f"a power of {states[0]}" if len(states) == 1 else f"one power of {' and of '.join(states)}"
     )
     return Effect(
@@ -95,7 +96,7 @@ def power_law(
         apply,
         priority=-1,  # in a flow it is the law itself, and a constant its tangent
         shape=shape,
-        description=f"a flow that grows with {flow}, not in proportion to {them}",
+        description=f"{_a_flow_in(model, own)} {GROWS} {power}, not in proportion to {them}",
         constants={"reference": levels[0]},
     )
 
@@ -144,11 +145,17 @@ def saturating_law(
         sided="positive",
         priority=-1,  # as a power law
         shape=f"{of or ''} {state}/(K+{state})".strip(),
-        description=f"a flow{f' {of} {state}' if of else ''} that levels off with {state}, as "
-        f"{state}/(K + {state}) does, not in proportion to it ({r.name} is 1/K)",
+        description=f"{_a_flow_in(model, own)}{f' {of} {state}' if of else ''} that levels off "
+        f"with {state}, as {state}/(K + {state}) does, not in proportion to it "
+        f"({r.name} is 1/K)",
         constants={"reference": typical},
         declared_units={r.name: declared_quotient("1", declared)} if declared else {},
     )
+
+
+def _a_flow_in(model: Model, balances: Sequence[str]) -> str:
+    """What passes in the first of these balances, with its article; a flow where there is none."""
+    return a_quantity(model.balances[balances[0]].unit, "flow") if balances else "a flow"
 
 
 def coefficients_of_flows(model: Model, state: str) -> list[str]:

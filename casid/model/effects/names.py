@@ -30,9 +30,9 @@ _NAMES = {
     "cross_axis": "cross-axis sensitivity of {where}",
     "lever_arm": "lever arm of {where}",
     "saturation": "clipping of {where}",
-    "rectified": "absolute value of {where}",
+    "rectified": "rectification of {where}",
     "outliers": "outliers in {where}",
-    "hold": "motion of {where} between samples",
+    "hold": "inter-sample behaviour of {where}",
     "actuator_lag": "actuator lag of {where}",
     "actuator_saturation": "saturation of the command {where}",
     "unknown": "unidentified term",
@@ -78,8 +78,22 @@ _DELAYS = {
     RECORDED_LATE: "delay of the record of {where} (its sensor is late)",
 }
 
-FLOW, OVERFLOW = "a flow that grows with", "an overflow"
-"""How the descriptions begin of laws that stores have where bodies have damping and stops."""
+BETWEEN_SAMPLES = " between its samples"
+"""How the descriptions end of what an input does there."""
+
+GROWS, OPPOSES = "that grows with", "that opposes"
+OVERFLOW, CLAMP = "an overflow", "a clamp"
+"""In descriptions of laws that circuits and stores have where bodies have friction and stops."""
+
+_LAWS = (
+    "quadratic_damping",
+    "cubic_damping",
+    "coulomb_friction",
+    "cubic_stiffness",
+    "quadratic_stiffness",
+    "end_stop",
+)
+"""Kinds that are called by what a body does, and by their law where the balance is no force's."""
 
 STORE = "a further store"
 """How the description begins of a store that the model omits."""
@@ -94,13 +108,23 @@ def unknown_place(where: str) -> str:
     return "the model" if where == ANYWHERE else where
 
 
+def law_of(kind: str, description: str) -> str:
+    """The description of a law of a circuit or a store, else empty: no friction, and no spring."""
+    if kind not in _LAWS:
+        return ""
+    is_law = description.startswith((OVERFLOW, CLAMP)) or any(
+        f" {what} " in description for what in (GROWS, OPPOSES)
+    )
+    return description if is_law else ""
+
+
 def effect_words(kind: str, where: str, *, description: str = "") -> str:
     """An effect and its place in words; a kind of the user's own keeps its name.
 
     Parameters
     ----------
     description : of the effect, where it is known: it tells the two delays of an input apart, and
-        the laws of a store from those of a body.
+        the laws of a circuit or a store from those of a body.
     """
     if kind not in _NAMES:
         return f"{kind} in {where}"
@@ -116,9 +140,11 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     delay = _DELAYS.get(description) or _DELAYS.get(variant)
     if kind == "time_delay" and delay:
         return delay.format(where=at)
-    if description.startswith((FLOW, OVERFLOW)) and kind != "unknown":
-        law = description.partition(",")[0].removeprefix("an ").removeprefix("a ")
-        return f"{law} in {place}"
+    if kind == "hold" and description.endswith(BETWEEN_SAMPLES):
+        course = description.removesuffix(BETWEEN_SAMPLES)
+        return f"{_NAMES[kind].format(where=at)} ({course})"
+    if law := law_of(kind, description).partition(",")[0]:
+        return f"{law.removeprefix('an ').removeprefix('a ')} in {place}"
     words = _NAMES[kind].format(place=place, where=at, own=own, source=source or "the state")
     if description.endswith(FOR_A_WHILE):
         return f"{_FOR_A_WHILE.get(kind, words).format(where=at)} {FOR_A_WHILE}"

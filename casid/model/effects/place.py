@@ -11,7 +11,7 @@ import numpy as np
 from casid.model.declarations import Balance
 from casid.model.formula_text import formula_text
 from casid.model.model import Model
-from casid.model.units import same_dimension, unit_quotient
+from casid.model.units import quantity_of, same_dimension, unit_quotient
 
 Expr = Any  # a CasADi SX expression
 
@@ -88,6 +88,18 @@ class Place:
 def is_mechanical(unit: str) -> bool:
     """True for the unit of a force or a torque, or of one over a mass or an inertia."""
     return any(same_dimension(unit, known) for known in ("N", "N m", "m/s^2", "rad/s^2"))
+
+
+def is_electrical(unit: str) -> bool:
+    """True for the unit of a voltage or a current."""
+    return any(same_dimension(unit, known) for known in ("V", "A"))
+
+
+def a_quantity(unit: str, otherwise: str = "term") -> str:
+    """What a quantity in `unit` is called, with its article: a force, an amount flow."""
+    word = quantity_of(unit)
+    word = otherwise if word == "term" else word
+    return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
 
 
 def is_amount(unit: str) -> bool:

@@ -19,11 +19,11 @@ from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect, Sided, known_while_null
 from casid.model.effects.flow_laws import is_positive
 from casid.model.effects.names import bracketed
-from casid.model.effects.place import Place
+from casid.model.effects.place import Place, a_quantity
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import UNNAMED_EFFECTS
 from casid.model.model import Model
-from casid.model.units import quantity_of, unit_quotient
+from casid.model.units import unit_quotient
 
 Expr = Any  # a CasADi expression
 
@@ -40,7 +40,7 @@ def unnamed_effects(
     place = place_named(model, where)
     v, q = place.velocity, place.position
     v_, q_ = bracketed(place.velocity_name), bracketed(place.position_name)
-    what = _a_quantity(place.unit)
+    what = a_quantity(place.unit)
 
     def term(shape: str, says: str, of: Expr, v_power: int, q_power: int = 0) -> Effect:
         suffix = "".join(c for c in shape.replace("^", "") if c.isalnum() or c == "_")
@@ -119,7 +119,7 @@ def linear_loss(
         priority=1,
         cost=2 if about else 1,
         shape=place.velocity_name,
-        description=f"{_a_quantity(place.unit)} in proportion to {place.velocity_name}{beyond}, "
+        description=f"{a_quantity(place.unit)} in proportion to {place.velocity_name}{beyond}, "
         "which the model leaves out",
     )
 
@@ -157,7 +157,7 @@ def saturating_force(model: Model, where: str | Place, typical: float) -> Effect
         sided="positive",
         priority=UNNAMED_EFFECTS.priority,
         shape=f"{v_}/sqrt(1+r{v_}^2)",
-        description=f"{_a_quantity(place.unit)} that levels off with {v_}, as "
+        description=f"{a_quantity(place.unit)} that levels off with {v_}, as "
         f"{v_}/sqrt(1 + {r.name} {v_}^2) does, not in proportion to it",
         constants={"reference": typical},
     )
@@ -180,7 +180,7 @@ def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
         lambda k: -k * place.position,
         priority=1,
         shape=place.position_name,
-        description=f"{_a_quantity(place.unit)} in proportion to {place.position_name}, "
+        description=f"{a_quantity(place.unit)} in proportion to {place.position_name}, "
         "which the model leaves out",
     )
 
@@ -209,7 +209,7 @@ def uptakes_of(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Itera
                 _taken(x),
                 priority=UNNAMED_EFFECTS.priority,
                 shape=name,
-                description=f"{_a_quantity(place.unit)} in proportion to {name}, which the "
+                description=f"{a_quantity(place.unit)} in proportion to {name}, which the "
                 "model leaves out",
             )
 
@@ -231,9 +231,3 @@ def vanishes_with(side: Expr, symbol: Expr) -> bool:
 def _symbols(expression: Any) -> set[str]:
     """The names that an expression depends on."""
     return {s.name() for s in ca.symvar(ca.SX(expression))}
-
-
-def _a_quantity(unit: str) -> str:
-    """What a quantity in `unit` is called, with its article: a force, an amount flow."""
-    word = quantity_of(unit)
-    return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"

@@ -127,7 +127,9 @@ def _numbers(
 
 def _axes(figure: Panels, shown: Sequence[Ranked], gains: Sequence[float | None]) -> None:
     """Names and status of the candidates, and ranges with room for the numbers."""
-    labels = [f"{effect_label(r.kind, r.where)}<br>{figure_text(r.status, 20)}" for r in shown]
+    labels = [
+        f"{effect_label(r.kind, r.where, r.law)}<br>{figure_text(r.status, 20)}" for r in shown
+    ]
     figure.figure.update_yaxes(
         tickvals=list(range(len(shown))),
         ticktext=labels,

@@ -11,9 +11,8 @@ from scipy.spatial.distance import squareform
 
 from casid.arrays import Array
 from casid.diagnosis.advice.isolability import Isolability
-from casid.model.effects.names import effect_words
 from casid.report.figures.panels import Panels
-from casid.report.figures.style import AFTER, BEFORE, effect_label, figure_text
+from casid.report.figures.style import AFTER, BEFORE, figure_text, short_label
 
 _SHOWN = 24
 _NUMBERED = 8
@@ -46,9 +45,9 @@ def isolability_figure(isolability: Isolability) -> Any:
         raise ValueError("no cause is visible in this record, so there are no angles to draw")
     order = _side_by_side(isolability.cosines, _nearest(isolability.cosines))
     values = isolability.cosines[np.ix_(order, order)]
-    names = [isolability.keys[i] for i in order]
-    full = [figure_text(effect_words(kind, where), 80) for kind, where in names]
-    rows = [f"{effect_label(*key)} <b>{i}</b>" for i, key in enumerate(names, 1)]
+    names = [isolability.words(isolability.keys[i]) for i in order]
+    full = [figure_text(words, 80) for words in names]
+    rows = [f"{short_label(words)} <b>{i}</b>" for i, words in enumerate(names, 1)]
     numbers = list(range(len(names)))
     panel = Panels(row_height=60 + 30 * len(names), gap=0)
     panel.add(

@@ -12,7 +12,7 @@ from casid.report.figures.style import AFTER, BEFORE, effect_label
 def remaining_figure(remaining: Remaining) -> Any:
     """One bar a cause in the order of contribution, and one for what stays unexplained."""
     named = remaining.explained
-    labels = [effect_label(e.kind, e.where) for e in named]
+    labels = [effect_label(e.kind, e.where, e.description) for e in named]
     labels.append("unexplained")
     shares = [100 * e.share for e in named] + [100 * remaining.unexplained]
     last = len(shares) - 1

@@ -42,9 +42,13 @@ def figure_text(text: object, longest: int = 40) -> str:
     return html.escape(plain, quote=False).replace("%", "&#37;").replace("$", "&#36;")
 
 
-def effect_label(kind: str, where: str, longest: int = 34) -> str:
+def effect_label(kind: str, where: str, description: str = "", longest: int = 34) -> str:
     """An effect and its place in words, short enough for a tick: `cubic stiffness, torque`."""
-    words = effect_words(kind, where)
+    return short_label(effect_words(kind, where, description=description), longest)
+
+
+def short_label(words: str, longest: int = 34) -> str:
+    """The words for an effect and its place, short enough for a tick."""
     return figure_text(re.sub(r" in the (\S+) balance", r", \1", words), longest)
 
 

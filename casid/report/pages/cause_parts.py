@@ -40,7 +40,7 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
     )
     parts: list[Part] = [
         _as_sentence(c.sentence),
-        _as_sentence(c.description),
+        "" if c.description in c.sentence else _as_sentence(c.description),
         Paragraph(facts, look="facts"),
         sizes,
     ]
@@ -144,7 +144,7 @@ def _candidates(rows: Sequence[Ranked], facts: Facts, caption: str) -> Table:
         ("candidate", "p", "gain", "status", "why"),
         [
             (
-                effect_in_words(r.kind, r.where),
+                effect_in_words(r.kind, r.where, r.law),
                 p_text(facts.p_value(r.kind, r.where)),
                 "\u2013" if r.gain is None else number_text(r.gain),
                 Status("undetectable" if r.status == "invisible" else r.status),

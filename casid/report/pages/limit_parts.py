@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+from casid.diagnosis.advice.next_experiment import Proposal
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.model.effects.names import effect_words
 from casid.model.quantities import quantity_text
-from casid.report.document import Bullets, Inline, Part, Table
+from casid.report.document import Bullets, Identifier, Inline, Part, Table
 from casid.report.numbers import number_text
 from casid.report.texts.diagnosis import effect_in_words, pairs_table
 
@@ -23,10 +24,12 @@ def inseparable(d: Diagnosis) -> Table | str | None:
             rows.append((effect_in_words(a.kind, a.where, a.description), same, a.why))
     for r in d.ranking:
         if r.status == "cannot be rejected" and _without_function(r.kind, r.where) not in listed:
-            rows.append((effect_in_words(r.kind, r.where), r.status, r.why))
+            rows.append((effect_in_words(r.kind, r.where, r.law), r.status, r.why))
     for r in d.ranking:
         if r.status == "invisible" and not d.undetectable:  # else they have a section of their own
-            rows.append((effect_in_words(r.kind, r.where), "undetectable in this record", r.why))
+            rows.append(
+                (effect_in_words(r.kind, r.where, r.law), "undetectable in this record", r.why)
+            )
     if not rows:
         is_more = d.isolability is not None and d.isolability.groups
         nothing = "Nothing: every candidate was either named or rejected."
@@ -47,7 +50,7 @@ def pairs_parts(d: Diagnosis) -> list[Part]:
         return []
     same = [
         "Nearly alike in this record, so that only a large misfit separates them: "
-        + ", ".join(effect_words(*key) for key in group)
+        + ", ".join(found.words(key) for key in group)
         for group in found.groups
     ]
     return [Bullets(same), pairs_table(found, in_words=True)]
@@ -59,7 +62,7 @@ def undetectable_parts(d: Diagnosis) -> list[Part]:
         return []
     rows = [
         (
-            effect_in_words(i.kind, i.where),
+            effect_in_words(i.kind, i.where, i.law),
             "any record of these channels" if i.is_structural else "this record",
             i.why,
             i.remedy,
@@ -80,7 +83,7 @@ def proposals_table(d: Diagnosis) -> Table:
             str(i),
             p.name,
             p.description,
-            (*effect_in_words(*p.pair[0]), " from ", *effect_in_words(*p.pair[1])),
+            (*_in_words(p, 0), " from ", *_in_words(p, 1)),
             quantity_text(p.record_length, "s") if math.isfinite(p.record_length) else "never",
             f"{p.gain_factor:.3g}" if math.isfinite(p.gain_factor) else "\u2013",
             number_text(p.cosine),
@@ -95,6 +98,12 @@ def proposals_table(d: Diagnosis) -> Table:
         "hardest to separate in it; gain: energy that separating them takes in this record, over "
         "that in the proposed one",
     )
+
+
+def _in_words(p: Proposal, which: int) -> tuple[str, ...]:
+    """One of the pair that a proposal separates, in words, and its identifier."""
+    key = p.pair[which]
+    return p.words[which] or effect_words(*key), " ", Identifier(key[0])
 
 
 def calibration_parts(d: Diagnosis) -> list[Part]:

@@ -44,7 +44,10 @@ def remaining_parts(d: Diagnosis) -> list[Part]:
         parts.append(Paragraph(f"{test}: p {p_text(r.p_value)}", look="facts"))
     if r.explained:
         rows: list[tuple[Inline, str]] = [
-            *((effect_in_words(e.kind, e.where), share_text(e.share)) for e in r.explained),
+            *(
+                (effect_in_words(e.kind, e.where, e.description), share_text(e.share))
+                for e in r.explained
+            ),
             ("unexplained", share_text(r.unexplained)),
         ]
         caption = "Share of the excess misfit"
@@ -59,7 +62,12 @@ def small_remainders(d: Diagnosis) -> list[Part]:
     if not d.remainders:
         return []
     rows = [
-        (effect_in_words(c.kind, c.where), share_text(c.share), p_text(c.p_value), c.description)
+        (
+            effect_in_words(c.kind, c.where, c.description),
+            share_text(c.share),
+            p_text(c.p_value),
+            c.description,
+        )
         for c in d.remainders
     ]
     caption = (

@@ -43,7 +43,7 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
         named = {(c.kind, c.where) for c in d.causes}
         groups = [g for g in d.isolability.groups if named & set(g)]
         for group in groups:
-            words = [effect_words(*key) for key in group]
+            words = [d.isolability.words(key) for key in group]
             parts.append(("nearly alike", shortened(words, _LISTED)))
     parts += [("noise", f"{k}: {v}") for k, v in d.noise.items()]
     for is_structural, record in ((True, "any record of these channels"), (False, "this record")):
@@ -156,14 +156,18 @@ def isolability_document(found: Isolability) -> Document:
         f"{found.power:g}",
         [
             pairs_table(found),
-            *(f"  nearly alike: {', '.join(effect_words(*k) for k in g)}" for g in found.groups),
+            *(f"  nearly alike: {', '.join(found.words(k) for k in g)}" for g in found.groups),
         ],
     )
 
 
 def pairs_table(found: Isolability, *, in_words: bool = False) -> Table:
     """The pairs of causes that are hardest to distinguish, the hardest first."""
-    named = effect_in_words if in_words else effect_name
+
+    def named(kind: str, where: str) -> tuple[str, ...]:
+        words = effect_in_words(kind, where, found.laws.get((kind, where), ""))
+        return words if in_words else effect_name(kind, where)
+
     rows = [
         (
             named(*p.first),
@@ -205,7 +209,7 @@ def advice_document(advice: Advice) -> Document:
     ]
     head = ("experiment", "cosine", "energy needed", "gain", "seconds")
     return Document(
-        f"To separate {' / '.join(effect_words(*k) for k in advice.tied)}",
+        f"To separate {' / '.join(advice.words or [effect_words(*k) for k in advice.tied])}",
         [
             Table(head, rows, numbers=(1, 2, 3, 4), widths=(26, 8, 15, 8, 10)),
             f"  {advice.sentence}",

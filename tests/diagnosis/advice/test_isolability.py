@@ -7,6 +7,7 @@ signatures span (Vuong 1989 for alternatives that are not nested).
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -141,6 +142,16 @@ def test_pairs_stand_by_their_angle_and_equals_in_one_group():
     last = found.pairs[-1]
     assert last.energy == pytest.approx(separation_constant())
     assert len(found.pairs) == 6
+
+
+def test_causes_are_called_by_the_law_of_their_balance():
+    """In lists of what acts alike, too, a voltage is no dry friction."""
+    law = "a constant voltage that opposes i, as a brush drop does"
+    dead = replace(effect("coulomb_friction"), where="coil", description=law)
+    found = isolability(table([dead, effect("offset")], np.ones((5, 2))))
+    words = "constant voltage that opposes i in the coil balance"
+    assert found.words(dead.key) == words
+    assert f"nearly alike: {words}, constant term in the torque balance" in str(found)
 
 
 def test_the_dearer_cause_has_to_win_by_what_it_is_charged_for():

@@ -156,6 +156,13 @@ def test_what_may_be_the_cause_is_seen():
     assert _seen([cause]) == {("parameter_jump", "T_a"), ("sensor_lag", "T")}
 
 
+def test_an_undetectable_cause_is_called_by_the_law_of_its_balance():
+    law = "a constant voltage that opposes i, as a brush drop does"
+    dead = Undetectable("coulomb_friction", "coil", "practical", 0.0, law=law)
+    assert dead.words == "constant voltage that opposes i in the coil balance"
+    assert str(dead).startswith(dead.words)
+
+
 def test_a_cause_that_the_others_alone_make_identifiable_is_flagged():
     """A bias of 0.2 V stood beside a resting level that had moved by -0.2 V."""
     bent = Cause("scheduled_parameter", "tau~y", 0.01, ())

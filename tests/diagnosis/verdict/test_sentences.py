@@ -13,22 +13,120 @@ import casid
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Doubts
+from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Doubts, Ranked
 from casid.diagnosis.verdict.gain import changes, improves
 from casid.diagnosis.verdict.sentences import (
     noise_text,
     says,
     says_kind,
+    separates,
     verdict_sentence,
     why_alternative,
 )
 from casid.estimation.estimate import Estimated
+from casid.model.effects.balance_effects import coulomb_friction, quadratic_damping
 from casid.model.effects.channel_effects import hold, sensor_bias
 from casid.model.effects.clock_effects import bias_drift
+from casid.model.effects.names import effect_words, law_of
 from casid.model.effects.parameter_effects import parameter_drift
+from casid.model.units import unit_quotient
+from casid.report.figures.style import effect_label
 from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
+
+
+def converter(unit: str, rate: str) -> casid.Model:
+    """A balance in `unit` that decays: of a coil, a body or a room."""
+    m = casid.Model("decaying")
+    x = m.state("x", rate)
+    p = m.parameter("p", unit_quotient(unit, rate), start=1.0)
+    inertia = m.parameter("J", unit_quotient(unit, unit_quotient(rate, "s")), value=1.0)
+    m.balance(x, "balance", inertia=inertia, terms=[-p * x], unit=unit)
+    m.output("y", x, rate)
+    return m
+
+
+@pytest.mark.parametrize(
+    ("unit", "rate", "name", "sentence"),
+    [
+        (
+            "V",
+            "A",
+            "constant voltage that opposes x in the balance balance",
+            "a constant voltage that opposes x, as a dead voltage or a brush drop does, is missing "
+            "in the balance balance",
+        ),
+        (
+            "W",
+            "K",
+            "constant heat flow that opposes x in the balance balance",
+            "a constant heat flow that opposes x is missing in the balance balance",
+        ),
+        (
+            "N",
+            "m/s",
+            "dry friction in the balance balance",
+            "dry (Coulomb) friction acts in the balance balance",
+        ),
+    ],
+)
+def test_dry_friction_is_a_matter_of_forces_alone(unit, rate, name, sentence):
+    """What stands in a balance of voltages and reverses with the current is no friction."""
+    effect = coulomb_friction(converter(unit, rate), "balance", 0.1)
+    assert effect.kind == "coulomb_friction"
+    assert says(effect) == sentence
+    law = law_of(effect.kind, effect.description)
+    ranked = Ranked(*effect.key, 0.1, 0.1, None, "named", "", law)
+    assert effect_words(*effect.key, description=ranked.law) == name
+    assert effect_label(*effect.key, ranked.law, 80) == name.replace(
+        " in the balance balance", ", balance"
+    )
+    alternatives = (Alternative("offset", "balance", 0.5, "as well"),)
+    cause = Cause(*effect.key, 1e-9, (), alternatives, description=effect.description)
+    said = advice("deficient", [cause], (), "")
+    assert said.startswith(f"To separate {name} from constant term in the balance balance: ")
+    assert ("friction" in said) is (unit == "N")
+
+
+@pytest.mark.parametrize(
+    ("unit", "rate", "law"),
+    [
+        ("V", "A", "voltage"),
+        ("W", "K", "heat flow"),
+        ("m^3/s", "m", "flow"),
+        ("mol/s", "mol", "amount flow"),
+    ],
+)
+def test_a_law_is_called_by_what_its_balance_is_of(unit, rate, law):
+    effect = quadratic_damping(converter(unit, rate), "balance")
+    words = effect_words(*effect.key, description=effect.description)
+    assert words == f"{law} that grows with the square of x in the balance balance"
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "said"),
+    [
+        ("rectified", "speed", "speed passes through zero, beside a sensor that shows its sign"),
+        ("scheduled_parameter", "k~T", "records in each of which T is held, at different values"),
+        ("scheduled_parameter", "k", "records in each of which the state is held"),
+        ("extra_input", "wind: force", "a record in which wind moves"),
+        ("sensor_bias", "pressure", "pressure is known, at rest or beside a reference instrument"),
+    ],
+)
+def test_the_next_record_names_the_channel_that_it_is_about(kind, where, said):
+    assert said in separates(kind, where)
+
+
+def test_two_courses_of_an_input_between_its_samples_have_two_names():
+    m = pendulum.problem.model
+    (channel, *_) = (n for n, u in m.inputs.items() if u.kind == "measured")
+    names = {
+        effect_words(*e.key, description=e.description)
+        for e in (hold(m, channel, toward) for toward in ("zoh", "bandlimited"))
+    }
+    of = f"inter-sample behaviour of {channel}"
+    assert names == {f"{of} (held)", f"{of} (band-limited)"}
 
 
 def test_what_a_record_does_not_separate_is_said_once_for_several_causes():
