@@ -1250,6 +1250,16 @@ class Planning:
     )
     clearer: float = _is(2.0, "times less energy needed: an experiment preferred for that", _NEXT)
     shorter: float = _is(0.8, "of the same record again: a clearly shorter one", _NEXT)
+    longest: float = _is(
+        10.0,
+        "times the present records, and an hour at least (`easily`), up to which an experiment is "
+        "advised: nobody makes much longer ones, and the differences that would show in them alone "
+        "are smaller than what the model gets wrong besides",
+        _NEXT,
+    )
+    easily: float = _is(
+        3600.0, "seconds that a record may last whatever the present one does", _NEXT
+    )
     notable: float = _is(1.5, "times less energy needed: it is mentioned", _NEXT)
     rank_limit: float = _is(
         0.3, "seconds for the rank of one extended model", f"{TESTS}/advice/test_undetectable.py"

@@ -67,6 +67,7 @@ class Proposal:
     seconds : length of what was predicted.
     bands : frequencies (from, to) that it excites [Hz], where it is an excitation of its own.
     words : the pair as an engineer says it.
+    limit : seconds, the longest record that is advised (`PLANNING.longest`).
     """
 
     name: str
@@ -79,6 +80,12 @@ class Proposal:
     seconds: float
     bands: tuple[tuple[float, float], ...] = ()
     words: tuple[str, str] = ("", "")
+    limit: float = inf
+
+    @property
+    def is_feasible(self) -> bool:
+        """True if a record that somebody would make separates the causes."""
+        return isfinite(self.record_length) and self.record_length <= self.limit
 
     def is_clearer(self, now: Proposal) -> bool:
         """True if it halves the energy needed, at least, and needs no longer record.
@@ -271,6 +278,7 @@ class _Rule:
             planned.seconds,
             planned.bands,
             (name_of(first), name_of(second)),
+            max(PLANNING.longest * (now or planned).seconds, PLANNING.easily),
         )
 
     @staticmethod
@@ -286,24 +294,57 @@ def advice_sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Prop
     """The best proposal in words, or that none of those compared separates the tied causes."""
     who = f"{tied[0]} from {either_words(tied[1:])}"
     able = [p for p in proposals if isfinite(p.record_length)]
-    if not able:
+    if not able and not now.is_feasible:
         return f"No experiment considered separates {who}{_why_none(tied, proposals)}"
-    best = able[0]
+    feasible = [p for p in able if p.is_feasible]
+    if not feasible and not now.is_feasible:
+        return _too_long(who, min((now, *able), key=lambda p: p.record_length), now)
+    best = feasible[0] if feasible else now
     shorter = best.is_clearer(now) or best.record_length <= PLANNING.shorter * now.record_length
-    length, same = record_length_text(best.record_length), record_length_text(now.record_length)
-    if isfinite(now.record_length) and not shorter:
+    should = now.record_length <= now.seconds  # the present record, which does not
+    if now.is_feasible and not shorter:
+        if should:
+            return (
+                f"To separate {who}, repeat the experiment and diagnose both records together: by "
+                "prediction the present one is long enough and by chance, or by other errors of "
+                "the model, it does not separate them."
+            )
         return (
-            f"To separate {who}, repeat the same experiment for {same}: no "
-            "other experiment considered is clearly shorter."
+            f"To separate {who}, repeat the same experiment for "
+            f"{record_length_text(now.record_length)}: no other experiment considered is clearly "
+            "shorter."
         )
-    text = f"To separate {who}: {best.description}. About {length} would suffice"
-    if isfinite(now.record_length):
-        text += f", where the same experiment would need {same}"
+    text = f"To separate {who}: {best.description}"
+    if not should:
+        text += f". About {record_length_text(best.record_length)} would suffice"
+        text += _beside_the_same(now)
     if best.gain_factor > PLANNING.notable:
         size = best.gain_factor**-0.5  # the energy grows with its square
         smaller = f"causes {size:.2g} times as large" if size else "far smaller causes"
         text += f"; it would also separate {smaller}"
     return text + "."
+
+
+def _beside_the_same(now: Proposal) -> str:
+    """How long the same experiment would have to be, or that it is of no use; or nothing."""
+    if now.is_feasible:
+        return f", where the same experiment would need {record_length_text(now.record_length)}"
+    if isfinite(now.record_length):
+        return f", where the same experiment would not do in {record_length_text(now.limit)}"
+    return ""
+
+
+def _too_long(who: str, best: Proposal, now: Proposal) -> str:
+    """That every experiment considered takes longer than anybody would measure."""
+    what = "the same experiment again" if best is now else best.description
+    is_by_record = now.limit > PLANNING.easily
+    of_record = f", {PLANNING.longest:g} times the present records" if is_by_record else ""
+    return (
+        f"No experiment of a reasonable length (here up to {record_length_text(now.limit)}"
+        f"{of_record}) separates {who}: the shortest of those considered, {what}, would take about "
+        f"{record_length_text(best.record_length)}. Determine one of them independently of these "
+        "records, or record under conditions in which they are larger."
+    )
 
 
 def _why_none(tied: Sequence[str], proposals: Sequence[Proposal]) -> str:
@@ -329,7 +370,7 @@ def _why_none(tied: Sequence[str], proposals: Sequence[Proposal]) -> str:
 def record_length_text(value: float) -> str:
     """A length of time with two digits, in seconds to years."""
     if value < 120:
-        return f"{value:.2g} s"
+        return f"{float(f'{value:.2g}'):g} s"
     longer = ((60.0, "min"), (3600.0, "h"), (86400.0, "days"), (31557600.0, "years"))
     scale, name = next((x for x in reversed(longer) if value >= 2 * x[0]), longer[0])
     return f"{float(f'{value / scale:.2g}'):g} {name}"

@@ -202,7 +202,7 @@ def what_remains(
         over_floor=over,
         p_value=p_value,
         test=test,
-        sentence=_sentence(explained, left, over)
+        sentence=_sentence(explained, left, over, is_above=before > 0)
         + _kind_of_remainder(over, p_value, false_alarm_rate, noise or NoiseFound()),
     )
 
@@ -224,17 +224,39 @@ def over_floors(part: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     }
 
 
-def _sentence(explained: tuple[Explained, ...], left: float, over: Mapping[str, float]) -> str:
-    """How much the causes explain, and how far the error ends above the floor."""
+def _sentence(
+    explained: tuple[Explained, ...], left: float, over: Mapping[str, float], *, is_above: bool
+) -> str:
+    """How much the causes explain, and how far the error ends above the floor.
+
+    Parameters
+    ----------
+    is_above : an error of the model without the causes is above its floor.
+    """
     worst = max(over, key=lambda o: over[o])
-    ends = f"the error of {worst} ends at {over[worst]:.3g} times its noise floor"
+    times = f"{over[worst]:.3g}"
+    at = "its noise floor" if times == "1" else f"{times} times its noise floor"
     if not explained:
-        return f"No cause is named; {ends}."
+        return f"No cause is named; the error of {worst} is at {at}."
+    ends = f"the error of {worst} ends at {at}"
     if all(e.kind in OF_SAMPLES for e in explained):
         return f"Samples with a faulty sensor are left out; {ends}."
-    many = "causes explain" if len(explained) > 1 else "cause explains"
-    share = "more than 99.5 %" if 0 < left < JUDGING.nearly_all else f"{100 * (1 - left):.0f} %"
-    return f"The named {many} {share} of the excess misfit, and {ends}."
+    causes = "causes" if len(explained) > 1 else "cause"
+    if not is_above:
+        return (
+            f"No error is above its noise floor without the named {causes}, which the course of "
+            f"the residual shows, and not its size; {ends}."
+        )
+    if left >= 1:
+        nothing = "brings the errors no nearer to their noise floors"
+        return f"Including the named {causes} {nothing}: {ends}."
+    share = f"{100 * (1 - left):.0f} %"
+    if left < JUDGING.nearly_all:
+        share = "more than 99.5 %" if left > 0 else "all"
+    elif 1 - left < JUDGING.nearly_all:
+        share = "less than 0.5 %"
+    explain = f"{causes} explain" if len(explained) > 1 else f"{causes} explains"
+    return f"The named {explain} {share} of the excess misfit, and {ends}."
 
 
 def _kind_of_remainder(

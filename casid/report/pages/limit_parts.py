@@ -84,7 +84,7 @@ def proposals_table(d: Diagnosis) -> Table:
             p.name,
             p.description,
             (*_in_words(p, 0), " from ", *_in_words(p, 1)),
-            quantity_text(p.record_length, "s") if math.isfinite(p.record_length) else "never",
+            _length_text(p),
             f"{p.gain_factor:.3g}" if math.isfinite(p.gain_factor) else "\u2013",
             number_text(p.cosine),
         )
@@ -104,6 +104,13 @@ def _in_words(p: Proposal, which: int) -> tuple[str, ...]:
     """One of the pair that a proposal separates, in words, and its identifier."""
     key = p.pair[which]
     return p.words[which] or effect_words(*key), " ", Identifier(key[0])
+
+
+def _length_text(p: Proposal) -> str:
+    """How long a record an experiment takes, and whether anybody would make it."""
+    if not math.isfinite(p.record_length):
+        return "never"
+    return quantity_text(p.record_length, "s") + ("" if p.is_feasible else " (too long)")
 
 
 def calibration_parts(d: Diagnosis) -> list[Part]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from casid.diagnosis.advice.isolability import Isolability
-from casid.diagnosis.advice.next_experiment import Advice, Proposal
+from casid.diagnosis.advice.next_experiment import Advice
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.diagnosis.facts import Facts
@@ -54,7 +54,7 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
         parts += labelled("false alarms", (d.calibration.sentence, *d.calibration.notes))
     parts += [("note", n) for n in _notes(d)]
     parts.append(("advice", d.advice))
-    if d.proposals and not d.advice.startswith("To separate") and _is_able(d.proposals[0]):
+    if d.proposals and not d.advice.startswith("To separate") and d.proposals[0].is_feasible:
         parts.append(("next", d.proposals[0].description))
     return Document(f"Diagnosis of {d.problem}: {d.verdict}", parts)
 
@@ -66,11 +66,6 @@ def _notes(d: Diagnosis) -> Iterator[str]:
     if len(refused) > _REFUSED:
         others = count_text(len(refused) - _REFUSED, "other effect")
         yield f"{others} likewise: the report and diagnosis.json have all notes"
-
-
-def _is_able(p: Proposal) -> bool:
-    """True if a record of some length separates the causes."""
-    return math.isfinite(p.record_length)
 
 
 def _gain(d: Diagnosis) -> Table:

@@ -36,7 +36,13 @@ NOISE = 0.01
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(37.4, "37 s"), (3.0e4, "8.3 h"), (5.53e7, "640 days"), (2e8, "6.3 years")],
+    [
+        (37.4, "37 s"),
+        (108.0, "110 s"),
+        (3.0e4, "8.3 h"),
+        (5.53e7, "640 days"),
+        (2e8, "6.3 years"),
+    ],
 )
 def test_the_length_of_a_record_has_two_digits_and_no_exponent(seconds: float, text: str) -> None:
     assert record_length_text(seconds) == text
@@ -227,6 +233,69 @@ def test_of_no_experiment_that_separates_causes_it_is_said_what_was_compared(cos
     sentence = advice_sentence(["an offset", "a bias"], now, planned)
     assert said in sentence
     assert "the same in all" not in sentence
+
+
+def planned(name: str, length: float, gain: float = 1.0, seconds: float = 86400.0) -> Proposal:
+    """An experiment that takes so long, beside a present record of `seconds`."""
+    pair, limit = (("offset", "heat"), ("sensor_bias", "T")), max(10 * seconds, 3600.0)
+    return Proposal(name, name, pair, 0.99, 1e3, length, gain, seconds, limit=limit)
+
+
+@pytest.mark.parametrize(
+    ("now", "others", "said"),
+    [
+        pytest.param(
+            190.0,
+            [("larger", 200.0, 1.0)],
+            "No experiment of a reasonable length (here up to 10 days, 10 times the present "
+            "records) separates an offset from a bias: the shortest of those considered, the same "
+            "experiment again, would take about 190 days. Determine one of them independently",
+            id="all too long",
+        ),
+        pytest.param(
+            np.inf,
+            [("slow", 5000.0, 4.0), ("larger", 700.0, 1.0)],
+            "the shortest of those considered, larger, would take about 700 days.",
+            id="a clearer one is longer still",
+        ),
+        pytest.param(
+            5000.0,
+            [("decay", 9000.0, 4.0), ("sensor", 2.5, 2.0)],
+            "To separate an offset from a bias: sensor. About 2.5 days would suffice, where the "
+            "same experiment would not do in 10 days; it would also separate causes 0.71 times",
+            id="a better one is not",
+        ),
+        pytest.param(
+            4.0,
+            [("decay", np.inf, 0.0)],
+            "repeat the same experiment for 4 days: no other experiment considered is clearly",
+            id="nothing but the same",
+        ),
+        pytest.param(
+            0.2,
+            [("longer", 0.2, 1.0)],
+            "repeat the experiment and diagnose both records together: by prediction the present",
+            id="the present record should do",
+        ),
+        pytest.param(
+            0.2,
+            [("longer", 0.2, 9.0)],
+            "To separate an offset from a bias: longer; it would also separate causes 0.33 times",
+            id="a clearer one than the present record, which should do",
+        ),
+    ],
+)
+def test_no_record_is_advised_that_nobody_would_make(now, others, said):
+    """A day was recorded; ten days are the limit, and a record of 190 days is no advice."""
+    again = planned("again", now * 86400.0)
+    proposals = [planned(name, days * 86400.0, gain) for name, days, gain in others]
+    assert said in advice_sentence(["an offset", "a bias"], again, proposals)
+
+
+def test_an_hour_is_no_unreasonable_record_whatever_the_present_one_lasts():
+    again, larger = (planned(n, s, seconds=20.0) for n, s in (("again", 3e3), ("larger", 2.9e3)))
+    said = advice_sentence(["an offset", "a bias"], again, [larger])
+    assert "repeat the same experiment for 50 min" in said
 
 
 def test_one_cause_alone_or_twice_is_refused(at):

@@ -57,6 +57,28 @@ def test_the_sentence_says_what_the_numbers_say(p_value, after, words):
     assert words in what_remains([("offset", "torque", 1.0)], part, p_value=p_value).sentence
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        (1.07, 1.08, "Including the named cause brings the errors no nearer to their noise floors"),
+        (2.0, 2.5, "no nearer to their noise floors: the error of x ends at 2.5 times its noise"),
+        (2.0, 1.999, "The named cause explains less than 0.5 % of the excess misfit"),
+        (2.0, 1.001, "The named cause explains more than 99.5 % of the excess misfit"),
+        (2.0, 0.9, "The named cause explains all of the excess misfit, and the error of x ends at"),
+        (2.0, 1.0, "ends at its noise floor"),
+        (0.9, 0.8, "No error is above its noise floor without the named cause, which the course"),
+    ],
+)
+def test_a_share_of_nothing_is_no_number(before: float, after: float, words: str) -> None:
+    """Held out, an error may rise by chance, or be at its floor from the first: no 0 or 100 %."""
+    part = {"baseline_rmse": {"x": before}, "extended_rmse": {"x": after}}
+    part["noise_floor"] = {"x": 1.0}
+    said = what_remains([("offset", "torque", 1.0)], part, p_value=0.5).sentence
+    assert words in said
+    assert " 0 %" not in said
+    assert "100 %" not in said
+
+
 @pytest.mark.parametrize(("chance", "is_more"), [(1.7, False), (1.5, True)])
 def test_an_error_that_chance_gives_is_no_unexplained_one(chance: float, is_more: bool) -> None:
     part = {"baseline_rmse": {"x": 3.0}, "extended_rmse": {"x": 1.6}, "noise_floor": {"x": 1.0}}
