@@ -11,6 +11,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.campaigns.campaign import Campaign
 from casid.data.problem import Problem
+from casid.model.quantities import count_text
 
 STD_ERROR = ".std_error"
 """Behind a parameter's name: the column of its standard errors."""
@@ -119,7 +120,7 @@ class Accuracy:
             if self.covered and bdtrc(self.covered - 1, self.intervals, 0.95) < _TAIL:
                 out.append("95 % intervals contain the truth too often")
         if self.intervals < self.n:
-            out.append(f"{self.n - self.intervals} runs without interval")
+            out.append(f"{count_text(self.n - self.intervals, 'run')} without interval")
         return tuple(out)
 
     def to_json(self) -> dict[str, Any]:

@@ -35,6 +35,7 @@ from casid.campaigns.manifest import manifest_of
 from casid.campaigns.parquet_parts import FAILED, RUN, Parts
 from casid.campaigns.progress import reported
 from casid.errors import CasidError, DataError, SolveError
+from casid.model.quantities import are, count_text
 from casid.time_limit import seconds_left, wall_clock
 
 if TYPE_CHECKING:
@@ -93,12 +94,15 @@ class Campaign:
         return np.asarray(self.table.loc[self.table[FAILED].isna(), name].to_numpy())
 
     def __repr__(self) -> str:
-        return f"<Campaign {self.name}: {self.runs} runs, {len(self.failures)} failed>"
+        return (
+            f"<Campaign {self.name}: {count_text(self.runs, 'run')}, {len(self.failures)} failed>"
+        )
 
     def __str__(self) -> str:
         failures = self.failures
         lines = [
-            f"Campaign {self.name}: {self.runs} runs with seed {self.seed}, {len(failures)} failed"
+            f"Campaign {self.name}: {count_text(self.runs, 'run')} with seed "
+            f"{self.seed}, {len(failures)} failed"
         ]
         if self.found:
             lines.append(f"  {self.found} were done by an earlier call")
@@ -108,7 +112,7 @@ class Campaign:
             lines.append(f"  {self.not_done} were not done: the budget of time ended")
         for message, n in Counter(failures.values()).most_common(5):
             run = next(run for run, text in failures.items() if text == message)
-            lines.append(f"  failed        {n} times, first in run {run}: {message}")
+            lines.append(f"  failed        {count_text(n, 'time')}, first in run {run}: {message}")
         return "\n".join(lines)
 
 
@@ -293,8 +297,8 @@ class _Work:
                 left.append(runs)
             else:
                 message = (
-                    f"its worker died {died[runs[0]]} times (killed from outside, out of memory, "
-                    "or a crash in compiled code)"
+                    f"its worker died {count_text(died[runs[0]], 'time')} (killed from outside, "
+                    "out of memory, or a crash in compiled code)"
                 )
                 self._keep(Done([{RUN: runs[0], FAILED: message}], 0.0))
 
@@ -361,8 +365,8 @@ class _Work:
     def _state(self) -> str:
         n, folder = len(self.parts.runs), self.parts.folder
         if folder is None:
-            return f"{n} runs were done and are lost; give a folder to keep them"
-        return f"{n} runs are kept in {folder}; the same call again continues"
+            return f"{count_text(n, 'run')} done {are(n)} lost; give a folder to keep them"
+        return f"{count_text(n, 'run')} {are(n)} kept in {folder}; the same call again continues"
 
     def _explain(self, error: Exception) -> None:
         """Raise what joblib means by an error that is no worker's death, where that is known."""

@@ -265,7 +265,8 @@ def _wrapped(record: Record, name: str) -> list[Finding]:
         Finding(
             "warning",
             name,
-            f"the angle wraps round {wraps.size} times, first at t = {record.t[wraps[0]]:.6g} s.",
+            f"the angle wraps round {count_text(int(wraps.size), 'time')}, first at "
+            f"t = {record.t[wraps[0]]:.6g} s.",
             f"Unwrap it: record.with_channel({name!r}, numpy.unwrap(record[{name!r}]), 'rad').",
         )
     ]

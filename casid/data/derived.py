@@ -17,6 +17,7 @@ from casid.argument_types import methods_name_wrong_types
 from casid.arrays import FloatArray
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
+from casid.model.quantities import count_text
 from casid.pickling import PickledByFields
 
 
@@ -78,7 +79,7 @@ class Derived(PickledByFields):
             if mask.any():
                 raise DataError(
                     f"{record.name}: {name} is derived from {source}, which misses "
-                    f"{int(mask.sum())} samples, the first at t = "
+                    f"{count_text(int(mask.sum()), 'sample')}, the first at t = "
                     f"{record.t[int(np.argmax(mask))]:g} s; cut the record there with a window, or "
                     "fill the channel beforehand (record.filled)"
                 )
@@ -86,7 +87,7 @@ class Derived(PickledByFields):
         if values.shape != (record.N,) or not np.isfinite(values).all():
             raise DataError(
                 f"{record.name}: what derives {name} returned shape {values.shape} with "
-                f"{int(np.sum(~np.isfinite(values)))} samples that are not finite, where "
+                f"{count_text(int(np.sum(~np.isfinite(values))), 'sample')} not finite, where "
                 f"({record.N},) are needed; correct the function of casid.data.derived.Derived"
             )
         return values
@@ -173,7 +174,9 @@ def derive(
             f"filters of {', '.join(wanted)}; widen the window"
         )
     if edge:
-        steps.append(f"{edge} samples cut at either end, where derived channels are guesses")
+        steps.append(
+            f"{count_text(edge, 'sample')} cut at either end, where derived channels are guesses"
+        )
     cut = slice(edge, record.N - edge)
     return Record(
         {n: v[cut] for n, v in channels.items()},

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from casid.arrays import BoolArray, FloatArray
 from casid.data.record import Record
 from casid.errors import DataError
+from casid.model.quantities import count_text
 from casid.presentation import Presented, present
 
 Edges = Literal["trim", "reflect"]
@@ -118,7 +119,9 @@ class FirFilter(Presented):
             channels[name] = convolved(values, self.taps)
         cut = slice(M, record.N - M) if edges == "trim" else slice(None)
         step = f"{self.design}, {2 * M + 1} taps, zero phase, on all channels; " + (
-            f"{M} samples trimmed at either end" if edges == "trim" else "ends reflected"
+            f"{count_text(M, 'sample')} trimmed at either end"
+            if edges == "trim"
+            else "ends reflected"
         )
         return Record(
             channels,

@@ -8,7 +8,7 @@ from casid.arrays import BoolArray
 from casid.data.findings import Finding
 from casid.data.record import Record
 from casid.data.sampling import gaps_among, gaps_of
-from casid.model.quantities import count_text
+from casid.model.quantities import are, count_text
 
 _ON_ITS_OWN_CLOCK = (
     "An output counts at its own instants; an input is held or joined between them, as the model "
@@ -46,8 +46,8 @@ def some_missing(record: Record, name: str) -> Finding:
     return Finding(
         "note",
         name,
-        f"{gaps.missing} samples ({100 * gaps.missing / record.N:.3g} %) are missing, in "
-        f"{gaps.stretches} stretch{'' if gaps.stretches == 1 else 'es'}, the longest of "
+        f"{count_text(gaps.missing, 'sample')} ({100 * gaps.missing / record.N:.3g} %) "
+        f"{are(gaps.missing)} missing, in {count_text(gaps.stretches, 'gap')}, the longest of "
         f"{gaps.longest * record.Ts:.4g} s from t = {record.t[gaps.first]:.6g} s.",
         "Missing samples of an output are left out; short gaps of an input are filled as the model "
         "holds it, at long ones the record is cut. Instruments need a complete stretch: select it "

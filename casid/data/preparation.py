@@ -13,6 +13,7 @@ from casid.arrays import FloatArray
 from casid.data.fir_filter import Edges, anti_alias, equiripple
 from casid.data.record import Record
 from casid.errors import DataError
+from casid.model.quantities import count_text
 
 
 @names_wrong_types()
@@ -94,7 +95,7 @@ def detrend(record: Record, order: int = 0) -> Record:
         kept = ~record.is_missing(name)
         if kept.sum() <= order:
             raise DataError(
-                f"{record.name}: {name} has {int(kept.sum())} samples that are not missing. "
+                f"{record.name}: {name} has {count_text(int(kept.sum()), 'sample')} left. "
                 f"Leave it out with record.without({name!r})."
             )
         basis = np.vander(x, order + 1, increasing=True)

@@ -238,7 +238,8 @@ class Record(RecordMethods, Presented, PickledByFields):
         last = int(np.floor(highest + tolerance))
         if last - first < 1:
             raise DataError(
-                f"window {start:g}:{stop:g} s keeps {max(last - first + 1, 0)} samples; {span} "
+                f"window {start:g}:{stop:g} s keeps "
+                f"{count_text(max(last - first + 1, 0), 'sample')}; {span} "
                 f"with Ts = {self.Ts:g} s. Widen the window to at least two samples."
             )
         cut = slice(first, last + 1)
@@ -338,7 +339,7 @@ class Record(RecordMethods, Presented, PickledByFields):
         self._require(channel)
         marks = _mask(self.name, channel, mask, self.N) | self.is_missing(channel)
         return self._derive(
-            f"{int(marks.sum())} samples of {channel} marked missing",
+            f"{count_text(int(marks.sum()), 'sample')} of {channel} marked missing",
             missing={**self.missing, channel: marks},
             late=self.late,
         )
@@ -453,8 +454,8 @@ def _refuse_non_finite(
     first = int(np.argmax(bad))
     nans = int(np.isnan(values[bad]).sum())
     raise DataError(
-        f"{record.name}: {channel} holds {int(bad.sum())} samples that are not finite ({nans} NaN, "
-        f"{int(bad.sum()) - nans} Inf), the first at k = {first} "
+        f"{record.name}: {channel} holds {count_text(int(bad.sum()), 'sample')} not finite "
+        f"({nans} NaN, {int(bad.sum()) - nans} Inf), the first at k = {first} "
         f"(t = {record.t0 + first * record.Ts:g} s). Cut them with record.between(t0, t1), or mark "
         "them missing: Record(..., missing={name: ~numpy.isfinite(values)})."
     )

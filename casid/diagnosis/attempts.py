@@ -15,6 +15,7 @@ import numpy as np
 
 from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.simulation.minimization import DivergenceError
+from casid.model.quantities import count_text
 from casid.time_limit import out_of_time_text, require_time, until, wall_clock
 
 T = TypeVar("T")
@@ -68,7 +69,9 @@ class Attempts:
         """Why attempts failed, each reason once: the first few, and how many more."""
         reasons = list(dict.fromkeys(self.failed.values()))
         more = len(reasons[3:])
-        return "; ".join([*reasons[:3], *([f"and {more} more reasons"] if more else [])])
+        return "; ".join(
+            [*reasons[:3], *([f"and {count_text(more, 'more reason')}"] if more else [])]
+        )
 
     def notes(self) -> list[str]:
         """What was left out and what was not done, in sentences."""

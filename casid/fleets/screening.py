@@ -54,6 +54,7 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.fleets.thresholds import SCREENING
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.user_effects import user_effects
+from casid.model.quantities import count_text
 from casid.model.rate_laws import with_balances
 from casid.model.written_accelerations import with_written_accelerations
 
@@ -167,7 +168,7 @@ class Screen:
         criterion = base.of_records([record], weights=base.weights, start=own)
         used = sum(int(d.used.sum()) for d in criterion.data)
         if used < fewest_samples(len(criterion.variables)):
-            return Screened(0.0, f"it has {used} samples, too few to judge the model")
+            return Screened(0.0, f"it has {count_text(used, 'sample')}, too few to judge the model")
         x = _minimum(criterion, {})
         if x is None:
             # A sea may move the roll so that the simulation errs least far from the truth.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from casid.arrays import finite_or_none
 from casid.deprecation import renamed
 from casid.grouping import Grouped
-from casid.model.quantities import shortened
+from casid.model.quantities import are, shortened
 from casid.presentation import Presented, present, write
 from casid.saving.saved import Saved
 
@@ -280,7 +280,7 @@ class Assessment(Presented, Saved):
             proven = len(self.parameters) - len(unsure)
             return (
                 f"Time ran out: {proven} of {len(self.parameters)} parameters "
-                f"{_are(proven)} proven identifiable, {shortened(unsure)} {_are(len(unsure))} "
+                f"{are(proven)} proven identifiable, {shortened(unsure)} {are(len(unsure))} "
                 "undecided."
             )
         if not lost:
@@ -290,8 +290,8 @@ class Assessment(Presented, Saved):
             return f"{every} parameters are identifiable."
         kept = len(self.parameters) - len(lost)
         return (
-            f"{kept} of {len(self.parameters)} parameters {_are(kept)} identifiable; "
-            f"{shortened(lost)} {_are(len(lost))} structurally unidentifiable."
+            f"{kept} of {len(self.parameters)} parameters {are(kept)} identifiable; "
+            f"{shortened(lost)} {are(len(lost))} structurally unidentifiable."
         )
 
     @property
@@ -428,10 +428,6 @@ def _direction(direction: NullDirection) -> dict[str, Any]:
             if v is None or v != 0
         },
     }
-
-
-def _are(count: int) -> str:
-    return "is" if count == 1 else "are"
 
 
 def _all(names: Sequence[str]) -> str:

@@ -104,6 +104,11 @@ def count_text(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
+def are(n: int) -> str:
+    """The verb of so many things: 1 gap is, 2 gaps are."""
+    return "is" if n == 1 else "are"
+
+
 def shortened(names: Sequence[str], most: int = 40) -> str:
     """Names with commas; of very many the first, and how many more there are."""
     if len(names) <= most:

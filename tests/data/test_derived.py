@@ -129,7 +129,7 @@ def test_sources_that_cannot_be_used_are_named_with_the_mend():
     with pytest.raises(DataError, match=r"no v; .*--map v=column"):
         derive(record().without("v"), {"a": ENTRY})
     gap = record().mark_missing("v", np.arange(400) == 7)
-    with pytest.raises(DataError, match=r"misses 1 samples, the first at t = 0\.35 s; cut"):
+    with pytest.raises(DataError, match=r"misses 1 sample, the first at t = 0\.35 s; cut"):
         derive(gap, {"a": ENTRY})
     with pytest.raises(DataError, match="widen the window"):
         derive(record(21), {"a": ENTRY})

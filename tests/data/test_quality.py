@@ -331,9 +331,7 @@ def test_a_trend_and_missing_samples_are_noted():
     y = smooth() + 0.2 * TIME
     report = check(record(y).mark_missing("y", mask))
     assert any("a trend: 8.1" in t for t in texts(report))
-    assert any(
-        t.startswith("10 samples (0.244 %) are missing, in 1 stretch") for t in texts(report)
-    )
+    assert any(t.startswith("10 samples (0.244 %) are missing, in 1 gap") for t in texts(report))
     assert report.channels[0].missing == 10
     gone = record(y).mark_missing("y", np.ones(N, dtype=bool))
     assert texts(check(gone)) == ["every sample is missing."]

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from casid.data.experiment import Experiment
+from casid.data.missing_samples import some_missing
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
 
@@ -206,3 +207,13 @@ def test_the_order_of_channels_is_the_caller_s_and_changes_nothing():
     )
     assert turned.names == ("p", "phi")
     assert np.array_equal(turned.between(3, 9)["p"], record.between(3, 9)["p"])
+
+
+@pytest.mark.parametrize(("marked", "said"), [(1, "1 sample"), (3, "3 samples")])
+def test_one_sample_is_not_said_in_the_plural(marked, said):
+    record = roll()
+    gone = np.arange(record.N) < marked
+    made = record.mark_missing("phi", gone)
+    assert made.provenance[-1] == f"{said} of phi marked missing"
+    verb = "is" if marked == 1 else "are"
+    assert f"%) {verb} missing, in 1 gap, the longest" in some_missing(made, "phi").text

@@ -50,6 +50,8 @@ def test_a_refusal_of_casid_is_passed_on_in_its_own_words():
 def test_of_many_reasons_the_first_few_are_listed_each_once():
     attempts = Attempts(failed={f"effect {i}": f"reason {i % 5}" for i in range(100)})
     assert attempts.reasons() == "reason 0; reason 1; reason 2; and 2 more reasons"
+    attempts = Attempts(failed={f"effect {i}": f"reason {i % 4}" for i in range(100)})
+    assert attempts.reasons() == "reason 0; reason 1; reason 2; and 1 more reason"
 
 
 @pytest.mark.parametrize("fault", [TypeError, KeyError, KeyboardInterrupt])

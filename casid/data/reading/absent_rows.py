@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.clocks import OFF_GRID, jitter_text
 from casid.data.sampling import gaps_of
+from casid.model.quantities import are
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -126,7 +127,8 @@ class EvenClock:
                 f"{self.Ts:.6g} s: read as even"
             )
         return (
-            f"{found.missing} of {self.N} rows are absent from an even clock of {self.Ts:.6g} s, "
+            f"{found.missing} of {self.N} rows {are(found.missing)} absent from an even clock of "
+            f"{self.Ts:.6g} s, "
             f"{found.longest} in a row at most: marked missing"
         )
 

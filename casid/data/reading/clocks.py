@@ -164,7 +164,7 @@ def window_rows(
         problem = "reaches outside the record"
         remedy = "Give a window inside that span, or leave an end open (12: or :194)."
     elif inside.size < 2:
-        problem = f"keeps {inside.size} samples"
+        problem = f"keeps {count_text(int(inside.size), 'sample')}"
         remedy = "Widen the window to at least two samples."
     if problem:
         found.faults.append(Fault("window", f"{label} {problem}; {span}.", remedy))

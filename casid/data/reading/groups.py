@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.tables import FrameTable
 from casid.errors import DataError, nearest
+from casid.model.quantities import count_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,4 +66,4 @@ def chosen_table(
 def _size(group: Group) -> str:
     names = [str(c) for c in group.frame.columns]
     listed = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
-    return f"{len(group.frame)} rows of {listed}"
+    return f"{count_text(len(group.frame), 'row')} of {listed}"

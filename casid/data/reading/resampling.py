@@ -9,6 +9,7 @@ from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.clocks import GAP, UNIFORM
 from casid.data.record import Record
 from casid.errors import DataError
+from casid.model.quantities import count_text
 
 DENSEST = 100
 """Most samples that one recorded sample becomes: more only make every fit longer."""
@@ -97,7 +98,8 @@ def resampled(
         marked += int(masks[channel].sum())
     steps.append(
         f"resampled by PCHIP onto Ts = {fine:g} s (intervals were {intervals.min():.6g} to "
-        f"{intervals.max():.6g} s, median {median:.6g} s); {marked} samples in gaps marked missing"
+        f"{intervals.max():.6g} s, median {median:.6g} s); "
+        f"{count_text(marked, 'sample')} in gaps marked missing"
     )
     record = Record(gridded, units, fine, float(times[0]), name, masks, tuple(steps))
     return record if factor == 1 else record.decimate(factor)

@@ -12,6 +12,7 @@ from casid.data.reading.groups import Group, chosen_table
 from casid.data.reading.layout import layout_of_rows
 from casid.data.reading.tables import Table
 from casid.data.reading.text_source import HEAD
+from casid.model.quantities import count_text
 
 
 def open_file(path: Path, form: FileFormat) -> Table:
@@ -57,8 +58,11 @@ def _table_of(rows: Sequence[Sequence[Any]]) -> Group | None:
         names = [f"{layout.names[k]}#{k + 1}" for k in kept]
         columns = dict(zip(names, (frame[k].infer_objects() for k in kept), strict=True))
     units = {layout.names[k]: u for k, u in enumerate(layout.units) if k in kept and u.strip(" -")}
-    remarks = [f"{layout.above} rows above the names of the columns not read"] * bool(layout.above)
-    remarks += [f"{layout.footers} rows below the last one not read"] * bool(layout.footers)
+    remarks = []
+    if layout.above:
+        remarks.append(f"{count_text(layout.above, 'row')} above the names of the columns not read")
+    if layout.footers:
+        remarks.append(f"{count_text(layout.footers, 'row')} below the last one not read")
     return Group(pd.DataFrame(columns), units, tuple(remarks))
 
 

@@ -398,7 +398,9 @@ def _channels(
             if not (options.mark_missing or is_empty):
                 found.faults.append(non_finite(table, channel, spec, numbers, rows, found.times))
             channels.missing[channel] = bad
-            steps.append(f"{int(bad.sum())} samples of {channel} not finite, marked missing")
+            steps.append(
+                f"{count_text(int(bad.sum()), 'sample')} of {channel} not finite, marked missing"
+            )
         far_off = stands_for_none(numbers, spec.column)
         found.notes += [far_off] if far_off else []
         unit, target = spec.unit or "1", spec.target

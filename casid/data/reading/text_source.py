@@ -14,6 +14,7 @@ from typing import IO, TextIO
 
 from casid.data.reading.file_format import FileFormat
 from casid.errors import DataError
+from casid.model.quantities import count_text
 
 HEAD = 500
 """Lines from which the layout of a table is read."""
@@ -189,7 +190,7 @@ def _member(path: Path, archive: zipfile.ZipFile, form: FileFormat) -> str:
         )
     if len(names) != 1:
         raise DataError(
-            f"{path.name}: the archive holds {len(names)} files"
+            f"{path.name}: the archive holds {count_text(len(names), 'file')}"
             f"{': ' if names else ''}{', '.join(names[:8])}. "
             "Choose one with --table NAME (table='NAME'), or unpack it."
         )

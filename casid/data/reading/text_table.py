@@ -13,6 +13,7 @@ from casid.data.reading.number_marks import Evidence, decimal_mark
 from casid.data.reading.tables import Table
 from casid.data.reading.text_source import COMMENT, HEAD, TextSource
 from casid.errors import DataError
+from casid.model.quantities import count_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -155,11 +156,13 @@ class TextTable(Table):
     def _say_layout(self) -> None:
         layout = self.layout
         if layout.above:
-            self.remarks.append(f"{layout.above} lines above the names of the columns not read")
+            self.remarks.append(
+                f"{count_text(layout.above, 'line')} above the names of the columns not read"
+            )
         if layout.footers:
-            self.remarks.append(f"{layout.footers} lines below the last row not read")
+            self.remarks.append(f"{count_text(layout.footers, 'line')} below the last row not read")
         if self._comments:
-            self.remarks.append(f"{len(self._comments)} lines of comment not read")
+            self.remarks.append(f"{count_text(len(self._comments), 'line')} of comment not read")
         if layout.units:
             self.remarks.append(
                 f"units from a row of units: {', '.join(filter(None, layout.units))}"

@@ -203,7 +203,9 @@ def _cleaned(
     )
     if not corrupted.count:
         return corrupted, split, fit, ""
-    settings.progress(f"leave out {corrupted.count} clipped samples or outliers and fit again")
+    settings.progress(
+        f"leave out {count_text(corrupted.count, 'clipped or outlying sample')} and fit again"
+    )
     split, note = holding_out_measured(split, list(problem.model.outputs))
     return corrupted, split, _again(problem, split, settings, fit), note
 

@@ -147,7 +147,7 @@ def require_short_gaps(record: Record, names: Sequence[str]) -> None:
             continue
         found, k = gaps_of(gone), int(np.argmax(gone))
         raise DataError(
-            f"{record.name}: input {name} misses {found.missing} samples in "
+            f"{record.name}: input {name} misses {count_text(found.missing, 'sample')} in "
             f"{count_text(found.stretches, 'gap')} longer than "
             f"{INPUT_GAPS.longest} of its intervals, the first at t = {record.t[k]:g} s; over so "
             "long a gap an input must be complete. Cut the record there with a window (identify "
@@ -225,7 +225,7 @@ def _filling(names: Sequence[str], how: str, found: Gaps, record: Record) -> str
             "between them"
         )
     return (
-        f"{FILLED}{who} {misses} {found.missing} samples "
+        f"{FILLED}{who} {misses} {count_text(found.missing, 'sample')} "
         f"({100 * found.missing / record.N:.2g} %) in {count_text(found.stretches, 'gap')}"
         f" of up to {found.longest * record.Ts:.3g} s: {are} "
         f"{how} there"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from casid.experiment_design.designed_experiment import DesignedExperiment, time_text
+from casid.model.quantities import count_text
 from casid.report.document import (
     Banner,
     Bullets,
@@ -42,9 +43,9 @@ def design_report(found: DesignedExperiment) -> Document:
     s = found.solver
     settings = {
         "aim": str(found.aim),
-        "found": f"{s.begun_from}; {s.iterations} iterations of the solver",
-        "compared with": f"{s.candidates} standard inputs",
-        "grid": f"{s.steps} Runge-Kutta steps an interval",
+        "found": f"{s.begun_from}; {count_text(s.iterations, 'iteration')} of the solver",
+        "compared with": count_text(s.candidates, "standard input"),
+        "grid": f"{count_text(s.steps, 'Runge-Kutta step')} an interval",
         "time": f"{s.seconds:.3g} s of the processor",
         "seed": str(s.seed),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from casid.estimation.estimate import Estimate
+from casid.model.quantities import count_text
 from casid.report.document import Bullets, Code, Part, Section, Strong, Table, mapping_table
 from casid.report.numbers import estimated_texts, in_readable_unit, number_text
 from casid.report.verdicts import status_words
@@ -78,7 +79,8 @@ def evidence_table(estimates: Mapping[str, Estimate]) -> Table:
         facts = {
             "method": e.method,
             "status": status_words(e),
-            "solver": f"{e.iterations} iterations, largest scaled gradient {e.scaled_gradient:.0e}",
+            "solver": f"{count_text(e.iterations, 'iteration')}, largest scaled "
+            f"gradient {e.scaled_gradient:.0e}",
             "starts": f"{e.starts_agreeing} of {e.starts_tried} agree",
             "identifiable": f"{seen} (rank {i.rank} of {i.unknowns} at the estimate, smallest "
             f"singular value {i.smallest_singular_value:.2g}, scaled)",

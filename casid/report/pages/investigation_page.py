@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from casid.diagnosis.investigation import Investigation
+from casid.model.quantities import count_text
 from casid.report.document import Banner, Card, Cards, Document, Figure, Part, Section
 from casid.report.figures.designed_input import designed_input_figure
 from casid.report.figures.simulated import diagnosis_figure
@@ -16,7 +17,7 @@ def investigation_report(found: Investigation) -> Document:
     decided = found.is_decided
     banner = Banner(
         "decided" if decided else "tied",
-        f"after {len(found.records)} record{'s' * (len(found.records) > 1)}",
+        f"after {count_text(len(found.records), 'record')}",
         last.sentence,
         "adequate" if decided else "undecided",
     )

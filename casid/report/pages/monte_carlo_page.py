@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from casid.campaigns.accuracy import Accuracy
 from casid.campaigns.monte_carlo import MonteCarlo
+from casid.model.quantities import count_text
 from casid.report.document import (
     Banner,
     Bullets,
@@ -28,8 +29,8 @@ def monte_carlo_report(result: MonteCarlo) -> Document:
     figure = figure_parts({"histograms": histogram_figure(result)} if is_drawn else {}).get
     failed = len(result.campaign.failures)
     runs = (
-        f"{result.campaign.runs} runs with seed {result.campaign.seed}, method {result.method}; "
-        f"{failed or 'none'} failed."
+        f"{count_text(result.campaign.runs, 'run')} with seed {result.campaign.seed}, "
+        f"method {result.method}; {failed or 'none'} failed."
     )
     words = (
         "Bias: mean minus truth, with its Monte Carlo standard error. Spread: standard deviation "

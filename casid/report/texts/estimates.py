@@ -13,6 +13,7 @@ from casid.estimation.reconciliation import Reconciled
 from casid.estimation.regression_estimate import RegressionEstimate
 from casid.identification.grey_box import Prediction
 from casid.identification.iterative_joint_instruments import IterativeJoint
+from casid.model.quantities import count_text
 from casid.report.document import Document, Labelled, Table
 from casid.report.numbers import interval_lines, interval_text, is_half_open
 from casid.report.texts.moments import black_box_document, convergence_document
@@ -30,7 +31,7 @@ def estimate_document(estimate: Estimate) -> Document:
     e, i = estimate, estimate.identifiability
     judged = judged_estimate(e)
     status = (
-        f"{status_words(e)} in {e.iterations} iterations; largest scaled gradient "
+        f"{status_words(e)} in {count_text(e.iterations, 'iteration')}; largest scaled gradient "
         f"{e.scaled_gradient:.0e}; {e.starts_agreeing} of {e.starts_tried} starts agree"
     )
     rows = [
@@ -144,8 +145,8 @@ def regression_document(estimate: RegressionEstimate) -> Document:
     head = ("parameter", "estimate", "std. error", "start", "note")
     smallest = e.singular_values[-1] if len(e.singular_values) else float("nan")
     status = (
-        f"{e.status} in {e.iterations} iterations ({e.solver}, {e.hessian} Hessian); relative "
-        f"offset {e.relative_offset:.1e}"
+        f"{e.status} in {count_text(e.iterations, 'iteration')} ({e.solver}, {e.hessian} "
+        f"Hessian); relative offset {e.relative_offset:.1e}"
     )
     identifiable = (
         f"all (rank {e.rank} of {e.rank}; smallest singular value {smallest:.1e}, columns scaled)"
@@ -222,8 +223,8 @@ def monte_carlo_document(result: MonteCarlo) -> Document:
     head = ("parameter", "truth", "mean", f"bias +- {'':7}", "spread", "std. err.", "coverage [%]")
     failed, judged = len(result.campaign.failures), judged_study(result)
     return Document(
-        f"Monte Carlo study of {result.problem}: {result.campaign.runs} runs with seed "
-        f"{result.campaign.seed}, method {result.method}, {failed} failed",
+        f"Monte Carlo study of {result.problem}: {count_text(result.campaign.runs, 'run')} with "
+        f"seed {result.campaign.seed}, method {result.method}, {failed} failed",
         [
             ("verdict", f"{judged.word}: {judged.sentence}"),
             ("advice", judged.advice),
@@ -232,7 +233,7 @@ def monte_carlo_document(result: MonteCarlo) -> Document:
             "  std. err.: mean of those reported; coverage of 95 % intervals [its interval]",
             *(("REMARK", f"{p.name}: {'; '.join(p.remarks)}") for p in result.parameters
               if p.remarks),
-            *(("failed", f"{n} times: {message}") for message, n in result.failures.items()),
+            *(("failed", f"{count_text(n, 'time')}: {why}") for why, n in result.failures.items()),
             *((("NOT DONE", out_of_time_text(result.not_done)),) if result.not_done else ()),
         ],
         label=8,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from casid.diagnosis.investigation import Investigation
+from casid.model.quantities import count_text
 from casid.report.document import Code, Document, Part, Table, labelled
 
 
@@ -30,4 +31,4 @@ def step_table(found: Investigation) -> Table:
 
 def _records(found: Investigation, step: int) -> str:
     count = len(found.records) - len(found.diagnoses) + 1 + step
-    return f"{count} record{'s' * (count > 1)}"
+    return count_text(count, "record")

@@ -10,6 +10,7 @@ from casid.arrays import Array
 from casid.estimation.covariance import whiteness
 from casid.estimation.prediction_error.polynomial.misfit import LAGS
 from casid.estimation.prediction_error.polynomial.model import PolynomialModel
+from casid.model.quantities import count_text
 from casid.report.document import Document, Lines
 
 _LISTED = 5  # records whose first residuals do not count
@@ -27,11 +28,11 @@ def polynomial_document(model: PolynomialModel) -> Document:
         [
             Lines([f"  {name:<{width}} = {text}" for name, text in polynomials.items()]),
             "  (+/- one standard error; a delay shows as the first power of q^-1)",
-            ("status", f"{m.status}, {m.iterations} iterations, scaled gradient "
+            ("status", f"{m.status}, {count_text(m.iterations, 'iteration')}, scaled gradient "
              f"{m.scaled_gradient:.0e}"),
             ("start", m.start),
-            ("residuals", f"N = {m.N}, {len(m.residuals)} record(s), first samples that do not "
-             f"count: {first}"),
+            ("residuals", f"N = {m.N}, {count_text(len(m.residuals), 'record')}, first samples "
+             f"that do not count: {first}"),
             ("residual tests", _residual_tests(m)),
             ("noise variance", f"{m.noise_variance:.6g}   loss {m.loss:.6g}"),
             ("fit", f"{m.fit:.2f} % (one step ahead)"),

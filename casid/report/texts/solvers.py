@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from casid.estimation.nlp.comparison_table import SolverComparison
 from casid.estimation.nlp.solution import Solution
+from casid.model.quantities import count_text
 from casid.report.document import Document, Part, Table
 
 
@@ -33,9 +34,8 @@ def solution_document(solution: Solution) -> Document:
     parts.append(f"  value {s.value:.8g}, scaled gradient {s.scaled_gradient:.1e}")
     count = len(s.constraint_jacobian)
     if count:
-        plural = "s" if count > 1 else ""
         largest = f"largest violation {s.constraint_violation:.1e}"
-        parts.append(f"  {count} constraint{plural}, {largest}")
+        parts.append(f"  {count_text(count, 'constraint')}, {largest}")
     if not s.is_converged:
         parts.append(f"  remedy: {s.remedy}")
     title = f"{'Converged' if s.is_converged else 'Not converged'}: {s.account}"

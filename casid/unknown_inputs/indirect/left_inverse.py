@@ -15,6 +15,7 @@ from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
+from casid.model.quantities import count_text
 from casid.unknown_inputs.indirect.approximate_inverse import ApproximateInverse, approximations
 from casid.unknown_inputs.indirect.blocks import (
     excess,
@@ -76,10 +77,12 @@ class LeftInverse:
         """What keeps f from being run forward in time, in words; none where it can be."""
         reasons = []
         if not self.is_proper:
-            plural = "" if self.excess == 1 else "s"
-            step = f"derivative{plural}" if self.f.time[0] == "s" else f"sample{plural} ahead"
+            is_continuous = self.f.time[0] == "s"
+            needs = count_text(self.excess, "derivative" if is_continuous else "sample")
             where = " (a zero at infinity)"
-            reasons.append(f"f is improper: it needs {self.excess} {step}{where}")
+            reasons.append(
+                f"f is improper: it needs {needs}{'' if is_continuous else ' ahead'}{where}"
+            )
         if not self.f.parameters and not self.is_stable:
             bad = self.unstable_zeros or unstable_poles(self.f)
             reasons.append("f is unstable, from the zero " + "; ".join(str(r) for r in bad))

@@ -13,6 +13,7 @@ from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.linear.state_space import StateSpace
+from casid.model.quantities import count_text
 from casid.unknown_inputs.networks.dynamics import network_states, refuse_unstable
 from casid.unknown_inputs.networks.network import Network, Signal
 from casid.unknown_inputs.networks.nodes import Node, node_label
@@ -117,7 +118,8 @@ def filtered(g: Rational, x: Array) -> Array:
     if g.variable == "s":
         raise ModelError(f"{g} is in continuous time; sample it first (control.sample_system)")
     if not g.is_proper:
-        raise ModelError(f"{g} needs {-g.relative_degree} samples of the future; delay it by them")
+        ahead = count_text(-g.relative_degree, "sample")
+        raise ModelError(f"{g} needs {ahead} of the future; delay it by as many")
     if g.parameters:
         raise ModelError(f"{g} holds {', '.join(g.parameters)} without a value; substitute them")
     below = [float(c) for c in g.denominator]

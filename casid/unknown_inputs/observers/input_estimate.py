@@ -10,6 +10,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError, nearest
+from casid.model.quantities import count_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +102,7 @@ class InputEstimate:
                 lines.append(f"    stands out of the noise from {low:.3g} to {high:.3g} rad/s")
         out = int((~self.valid).sum())
         if out:
-            lines.append(f"  {out} samples near the ends are not valid: transients there")
+            lines.append(f"  {count_text(out, 'sample')} near the ends not valid: transients there")
         lines += [f"  {n}: {v:.3g}" for n, v in self.levels.items()]
         return "\n".join(lines + [f"  assumes {a}" for a in self.assumed])
 

@@ -27,6 +27,7 @@ from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.linear.split_dynamics import SplitDynamics, split_dynamics
 from casid.linear.subspaces import unobservable_subspace
+from casid.model.quantities import count_text
 from casid.unknown_inputs.observers.equivalent_model import (
     direction_text,
     pole_text,
@@ -242,7 +243,7 @@ class NoncausalInverse:
     def __repr__(self) -> str:
         return (
             f"<NoncausalInverse of {self.system.name}: {', '.join(self.system.unknown)} from "
-            f"{', '.join(self.system.outputs)}, {self.delay} samples ahead, "
+            f"{', '.join(self.system.outputs)}, {count_text(self.delay, 'sample')} ahead, "
             f"{len(self.backward_zeros)} zeros backward>"
         )
 

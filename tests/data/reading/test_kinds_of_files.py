@@ -326,7 +326,7 @@ KINDS = [
          refused="text in 1 of 12 cells.*line 6: 'Fehler'",
          remedy="--missing Fehler --mark-missing"),
     Kind("9999 that stands for no value", table().replace(",17.0,", ",9999,"),
-         options={**form(missing=("9999",)), "mark_missing": True}, said="1 samples of F [N] not"),
+         options={**form(missing=("9999",)), "mark_missing": True}, said="1 sample of F [N] not"),
     Kind("mixed sampling, a value in every fourth row",
          "\n".join(f"{line},{k if k % 4 == 0 else ''}" if k >= 0 else line + ",slow"
          for k, line in enumerate(table().splitlines(), start=-1)),

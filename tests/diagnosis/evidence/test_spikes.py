@@ -7,12 +7,15 @@ polynomial of d over its standard deviation has the variance 24 (1 + 2 (2/3)^4 +
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
 import casid
+from casid.diagnosis.evidence import baseline
 from casid.diagnosis.evidence.corrupted_samples import (
     _above_neighbours,
     _act_later,
@@ -26,6 +29,7 @@ from casid.diagnosis.evidence.spikes import (
     find_spikes,
     starts_apart,
 )
+from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
 
@@ -301,3 +305,19 @@ def test_an_output_shows_a_held_input_at_once_only_where_it_is_part_of_it():
     assert _act_later(furnace("zoh"), "T").tolist() == [True]
     assert _act_later(furnace("zoh"), "element").tolist() == [False]
     assert _act_later(furnace("foh"), "T").tolist() == [False]
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [(1, "1 clipped or outlying sample and"), (2, "2 clipped or outlying samples and")],
+)
+def test_progress_says_how_many_samples_are_left_out(count, said, monkeypatch):
+    """One sample is no "1 samples"."""
+    found, lines = SimpleNamespace(count=count), []
+    monkeypatch.setattr(baseline, "without_corrupted", lambda *a, **k: (found, None))
+    monkeypatch.setattr(baseline, "holding_out_measured", lambda *a: (None, ""))
+    monkeypatch.setattr(baseline, "_again", lambda *a: None)
+    problem = SimpleNamespace(model=SimpleNamespace(outputs={}))
+    settings = DiagnosisSettings(progress=lines.append)
+    baseline._cleaned(problem, None, settings, None)
+    assert lines == [f"leave out {said} fit again"]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from casid.deprecation import renamed
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial.orders import Layout
+from casid.model.quantities import count_text
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
 from casid.unknown_inputs.networks.estimation.reachability import independent_references
 from casid.unknown_inputs.networks.graph import path_past, upstream
@@ -243,9 +244,12 @@ def _improper(e: ModuleEquation, layout: Layout) -> list[str]:
             continue
         what = f"the transfer function from {name} to {node_label(e.output)} in this equation"
         if delay < 0:
-            reasons.append(f"{what} is improper: it needs {name} {-delay} samples ahead")
+            reasons.append(
+                f"{what} is improper: it needs {name} {count_text(-delay, 'sample')} ahead"
+            )
         else:
             reasons.append(
-                f"{what} has a delay of {delay} samples, and nk = {nk} leaves its beginning out"
+                f"{what} has a delay of {count_text(delay, 'sample')}, and nk = {nk} "
+                "leaves its beginning out"
             )
     return reasons

@@ -188,7 +188,7 @@ def test_an_improper_indirect_model_is_refused_with_the_samples_it_lacks():
     """G25/G45 with a delay more in G45: w2 would have to be told by w4 one sample later."""
     slow = {**network.modules, (4, 5): network.modules[4, 5] / q}
     of = dynamic_network(slow, excitations={6: 1.0}, measured=MEASURED)
-    with pytest.raises(ModelError, match=r"from w4 to w2 .* improper: it needs w4 1 samples ahead"):
+    with pytest.raises(ModelError, match=r"from w4 to w2 .* improper: it needs w4 1 sample ahead"):
         estimate_module(
             of, (2, 3), simulate(1, 500), orders=FIRST, method="iv", elimination="indirect"
         )

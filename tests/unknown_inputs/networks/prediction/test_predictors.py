@@ -266,5 +266,5 @@ def test_signals_that_are_not_there_are_named():
     found = compare_predictors(network, 2)
     with pytest.raises(DataError, match="no signal 'w3'; there are w1, w2"):
         found[INDIRECT].predict({"w1": np.zeros(5), "w2": np.zeros(5)})
-    with pytest.raises(ModelError, match="needs 1 samples of the future"):
+    with pytest.raises(ModelError, match="needs 1 sample of the future"):
         filtered(Q, np.zeros(5))
