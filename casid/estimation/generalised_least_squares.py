@@ -263,7 +263,8 @@ def _why_no_noise(weighted: Fit, mine: Sequence[int]) -> str:
         return ""
     left = max(float(residual @ residual) - explained, TINY)
     p = float(f_distribution.sf((explained / columns) / (left / rest), columns, rest))
-    return f"follows the motion (p = {p:.1g})" if p < CONTRADICTED else ""
+    size = f"p = {p:.1g}" if p > TINY else f"p < {TINY:g}"
+    return f"follows the motion ({size})" if p < CONTRADICTED else ""
 
 
 def _of_motion(

@@ -20,8 +20,11 @@ from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError
 from casid.model.model import Model
+from casid.model.quantities import quantity_text
 
 Change = Callable[[Array], Array]  # (N,) of one input, less its mean -> (M,)
+
+_TWICE = 2.0
 
 Bands = tuple[tuple[float, float], ...]
 
@@ -109,7 +112,7 @@ class Planner:
         """Everything that acts, `factor` times as large."""
         return self._changed(
             "larger amplitude",
-            f"the same excitation, {factor:g} times as large",
+            f"the same excitation, {'twice' if factor == _TWICE else f'{factor:g} times'} as large",
             lambda u: factor * u,
             lambda x0, mean: mean + factor * (x0 - mean),
         )
@@ -171,11 +174,11 @@ class Planner:
                 cut = self.motion.with_noise(record.between(record.t0, record.t[n - 1]), e)
                 made.append(self.motion.as_experiment(cut, e, label))
                 starts.append(dict(zip(model.states, start.tolist(), strict=True)))
-        what = ", ".join(sorted(offset)) or "the initial state"
-        seconds = made[0].record.duration
+        what = ", ".join(sorted(offset)) or "initial state"
+        seconds = quantity_text(made[0].record.duration, "s")
         return Planned(
             "free decay",
-            f"repeated free decays of {seconds:.3g} s without any input, released from the largest "
+            f"repeated free decays of {seconds} without any input, released from the largest "
             f"recorded {what} and from half of it",
             tuple(made),
             tuple(starts),
@@ -196,10 +199,16 @@ class Planner:
             new.append(Experiment(made.record, {**made.known, **known}, made.name))
             starts.append(start)
         old = self.again()
-        values = ", ".join(f"{k} = {self.model.shown(k, v):g}" for k, v in known.items())
+        shown = self.model.shown
+        values = ", ".join(
+            f"{k} = {f'{shown(k, v):g} {self.model.unit_of(k)}'.removesuffix(' 1')}"
+            for k, v in known.items()
+        )
+        is_case = name in self.motion.problem.load_cases
+        what = f"under the load {name} ({values})" if is_case else f"with {values}"
         return Planned(
             f"second load: {name}",
-            f"a second record under the load {name} ({values}), analysed with the present one",
+            f"a second record {what}, analysed with the present one",
             (*old.experiments, *new),
             (*old.initial, *starts),
             self.model,
@@ -219,11 +228,11 @@ class Planner:
         for old, v in zip(self.experiments, values, strict=True):
             record = old.record.with_channel(channel, v + sd * rng.standard_normal(len(v)), unit)
             made.append(Experiment(record, old.known, old.name))
-        own = "" if model.unit_of(name) == "1" else model.unit_of(name)
+        noise = quantity_text(model.shown_size(name, sd), model.unit_of(name))
         return Planned(
             f"sensor of {name}",
             f"the same experiment with an additional sensor of {name}, as accurate as the present "
-            f"ones (noise {f'{model.shown_size(name, sd):.3g} {own}'.rstrip()})",
+            f"ones (noise {noise})",
             tuple(made),
             self.again().initial,
             model,

@@ -175,7 +175,7 @@ class _RankTests:
             absorbed_by=(*parameters, *states),
             identifiable=combinations,
             why=_structural_why(parameters, states, combinations),
-            remedy=_structural_remedy(effect, parameters, states),
+            remedy=_structural_remedy(effect, self.model, parameters, states),
             law=law_of(effect.kind, effect.description),
         )
 
@@ -251,11 +251,20 @@ def _structural_why(
     return text + "."
 
 
-def _structural_remedy(effect: Effect, parameters: Sequence[str], states: Sequence[str]) -> str:
+def _measured(effect: Effect, model: Model) -> str:
+    """What a sensor of the effect itself would measure."""
+    if effect.where in model.balances:
+        return f"what acts in the {effect.where} balance"
+    return f"the {place_words(effect.where).removeprefix('the ')}"
+
+
+def _structural_remedy(
+    effect: Effect, model: Model, parameters: Sequence[str], states: Sequence[str]
+) -> str:
     own = (
         f"calibrate {effect.where} independently of these records"
         if effect.kind.startswith("sensor") or effect.kind == "cross_axis"
-        else f"measure the {place_words(effect.where).removeprefix('the ')} itself"
+        else f"measure {_measured(effect, model)} itself"
     )
     if parameters:
         one = parameters[0] if len(parameters) == 1 else f"one of {', '.join(parameters)}"
@@ -275,5 +284,7 @@ def _practical_remedy(effect: Effect, model: Model, experiments: Sequence[Experi
     ]
     if resting:
         return f"Record {channel} while it moves: it is constant in {', '.join(resting)}."
+    if effect.kind == "rectified":
+        return f"Record {channel} while it passes through zero, where it can."
     how = "excite the system over a wider band, or add a sensor" if model.inputs else "add a sensor"
     return f"{how[0].upper()}{how[1:]}."

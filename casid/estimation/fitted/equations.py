@@ -33,7 +33,10 @@ _STAGES = {
 """Kind of a stage -> what becomes of a channel c with the parameter p, and in words."""
 
 
+GUARD = 1e-100
+"""Numbers below it keep a division finite, and are not shown."""
 _LONG = re.compile(r"\d+\.\d{6,}(?:e[-+]\d+)?")  # numbers of more digits than a reader wants
+_GUARD = re.compile(r" [+-] \d+(?:\.\d+)?e-1\d\d\b")  # keeps a division finite, and is nothing
 _TURN = re.compile(r"(?<![\w.])6\.28318530717\d+(?![\w.^])")  # rad in a turn
 
 
@@ -254,7 +257,7 @@ def _written(expression: Expr) -> str:
     names = [s.name() for s in ca.symvar(ca.SX(expression))]
     derivatives = {n: f"d{n[4:]}/dt" for n in names if n.startswith("der_")}
     text = formula_text(expression, names=derivatives)
-    text = _TURN.sub("2 pi", text)
+    text = _TURN.sub("2 pi", _GUARD.sub("", text))
     return _LONG.sub(lambda number: f"{float(number[0]):.6g}", text)
 
 
@@ -322,6 +325,8 @@ def _algebra(expression: Expr) -> Any:
     floats = algebra.atoms(sympy.Float)
 
     def short(x: Any) -> Any:
+        if abs(x) < GUARD:
+            return sympy.Integer(0)
         if math.isclose(abs(x), 2 * math.pi, rel_tol=1e-12):
             return 2 * sympy.pi * (1 if x > 0 else -1)
         return sympy.Integer(x) if x == int(x) else sympy.Float(x, 6)

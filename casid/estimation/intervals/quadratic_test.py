@@ -27,7 +27,7 @@ def why_not_quadratic(scaled: ScaledCriterion, name: str) -> str:
     for side, bound in ((-1, scaled.lower[i]), (1, scaled.upper[i])):
         if side * (bound - scaled.x[i]) < reach:
             off = abs(bound - scaled.x[i]) / scaled.std_error(i)
-            return f"a bound is {off:.2g} standard errors off"
+            return f"a bound is {off:.2g} standard errors away"
     if scaled.tied.size:
         return ""
     rises = [_rise(scaled, i, side * reach) for side in (-1, 1)]
@@ -36,8 +36,8 @@ def why_not_quadratic(scaled: ScaledCriterion, name: str) -> str:
         return ""
     low, high = (f"{r:.2g}" if np.isfinite(r) else "no number" for r in rises)
     return (
-        f"{QUADRATIC_TEST.at:g} errors below and above it the criterion rises by {low} and {high}, "
-        f"a parabola by {QUADRATIC_TEST.at**2:g}"
+        f"{QUADRATIC_TEST.at:g} standard errors below and above the estimate the criterion rises "
+        f"by {low} and {high}, a parabola would by {QUADRATIC_TEST.at**2:g}"
     )
 
 

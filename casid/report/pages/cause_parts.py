@@ -31,7 +31,7 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
     title = effect_in_words(c.kind, c.where, c.description)
     facts = f"p {p_text(c.p_value)}"
     if c.share > 0:
-        facts += f"; removes {100 * c.share:.0f} % of the misfit"
+        facts += f"; {100 * c.share:.0f} % of what all causes explain"
     sizes = Table(
         _SIZES,
         [_size(p) for p in c.parameters],

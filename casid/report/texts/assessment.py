@@ -21,7 +21,7 @@ def assessment_document(assessment: Assessment) -> Document:
         ("equivalent", _families(a)),
         ("remedies", _remedies(a)),
         ("unknown", _classes(a)),
-        ("poorer", _excitations(a)),
+        ("inputs", [f"with {line}" for line in _excitations(a)]),
         ("records", [line for e in a.excitations for line in str(e).splitlines()]),
         ("expected", str(a.practical).splitlines() if a.practical else []),
         ("profiles", str(a.profiles).splitlines() if a.profiles else []),

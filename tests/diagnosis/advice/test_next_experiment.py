@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -345,7 +346,20 @@ def test_a_record_of_a_first_order_system_is_no_shorter_than_a_period_and_has_no
     ]
     advice = next_experiment(casid.Problem("store", at.model), at, suspects)
     assert all(p.record_length >= 200.0 for p in (advice.now, *advice.proposals))
+    by_name = {p.name: p.description for p in advice.proposals}
+    assert "free decays of " in by_name["free decay"]
+    assert "released from the largest recorded initial state and" in by_name["free decay"]
+    assert by_name["larger amplitude"] == "the same excitation, twice as large"
     assert not any("resonance" in p.description for p in advice.proposals)
+
+
+def test_another_load_and_a_sensor_are_said_with_units(planner):
+    """What may be changed is a known value; what is no load case is no load "changed"."""
+    made = planner.load("k changed", {"k": 15.0})
+    assert made.description == "a second record with k = 15 N m/rad, analysed with the present one"
+    made = planner.load("loaded", planner.motion.problem.load_cases["loaded"])
+    assert "a second record under the load loaded (m = " in made.description
+    assert re.search(r"\(noise [0-9.]+ m?rad\)", planner.sensor("phi").description)
 
 
 def test_a_lightly_damped_pendulum_resonates(planner):

@@ -14,7 +14,12 @@ import pytest
 
 import casid
 from casid.diagnosis.advice.recommendation import _seen, by_others
-from casid.diagnosis.advice.undetectable import Undetectable, absorbed_effects, undetectable_effects
+from casid.diagnosis.advice.undetectable import (
+    Undetectable,
+    _practical_remedy,
+    absorbed_effects,
+    undetectable_effects,
+)
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Alternative, Cause
@@ -24,6 +29,7 @@ from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
 from casid.model.effects.channel_effects import sensor_bias, sensor_scale, time_delay
 from casid.model.effects.effect import Effect
+from casid.model.effects.sensor_effects import rectified
 from casid.model.model import Model
 from problems import pendulum
 from tests.support import truth
@@ -73,6 +79,8 @@ def test_a_constant_torque_and_a_bias_of_the_accelerometer_are_the_initial_angle
         assert i.reason == "structural"
         assert i.absorbed_by == ("phi(0)",)
         assert "Add a sensor of phi, make its initial value known" in i.remedy
+    remedy = found["offset", "torque"].remedy
+    assert remedy.endswith("or measure what acts in the torque balance itself.")
 
 
 @pytest.mark.parametrize("channel", ["gyro", "accel"])
@@ -126,6 +134,13 @@ def test_a_channel_that_rests_hides_what_depends_on_it_in_this_record_alone(fitt
     i = asked(fitted, [effect])["extra_input", "speed"]
     assert i.reason == "practical"
     assert i.remedy == "Record speed while it moves: it is constant in record."
+
+
+def test_a_channel_of_one_sign_shows_no_rectification_until_it_passes_through_zero(fitted):
+    """A wider band of excitation would not help."""
+    model = fitted.criterion.model
+    remedy = _practical_remedy(rectified(model, "gyro"), model, fitted.criterion.experiments)
+    assert remedy == "Record gyro while it passes through zero, where it can."
 
 
 def test_a_delay_is_not_asked_structurally(fitted):

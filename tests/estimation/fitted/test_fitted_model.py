@@ -12,7 +12,8 @@ from casid.estimation.simulation.simulation_estimate import estimate_of
 from casid.model.clock_signals import StepAt
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.channel_effects import hold, sensor_lag, time_delay
-from casid.model.effects.parameter_effects import parameter_jump
+from casid.model.effects.effect import Motion
+from casid.model.effects.parameter_effects import parameter_jump, state_scheduled_parameter
 from casid.model.effects.periodic import periodic_disturbance
 from casid.model.effects.structure_effects import actuator_lag
 from tests.support.fitted_models import driven_mass
@@ -195,6 +196,18 @@ def test_the_equations_mark_what_was_added():
     assert not equations_of(plain).changed
     jump = equations_of(parameter_jump(plain, "m", 2.0).extend(plain), plain)
     assert [e.left_is_new for e in jump.changed] == [True]
+
+
+def test_what_keeps_a_division_finite_is_not_shown():
+    """k (k - s m)/(k - s x^2), of which the denominator has 1e-150 besides."""
+    plain = driven_mass()
+    size = Motion(0.1, 0.0, 0.2, 0.05)
+    found = equations_of(state_scheduled_parameter(plain, "k", "x", size, 2).extend(plain), plain)
+    (equation,) = found.changed
+    (term,) = [t for t in equation.terms if t.is_new]
+    for text in (term.text, term.latex, term.mathml):
+        assert "150" not in text
+    assert "k - curvature_k_x * x^2)" in term.text
 
 
 def test_a_periodic_disturbance_is_written_with_the_time():
