@@ -413,14 +413,14 @@ def _locked(folder: Path | None) -> Iterator[None]:
         yield
         return
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise DataError(
-                f"{folder}: a campaign is running there; wait for it, or name another folder"
-            ) from None
-        except OSError:
-            pass
+        # A file system without locks, as some network folders are, keeps no second campaign out.
+        with contextlib.suppress(OSError):
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise DataError(
+                    f"{folder}: a campaign is running there; wait for it, or name another folder"
+                ) from None
         yield
     finally:
         os.close(handle)
