@@ -14,7 +14,7 @@ from casid.argument_types import methods_name_wrong_types, names_wrong_types
 from casid.data.derived import Derived, derive
 from casid.data.experiment import Experiment
 from casid.data.external_signals import external_signals
-from casid.data.problem_module import importing
+from casid.data.problem_module import importing, problem_file
 from casid.data.reading.columns import ColumnSpec, as_headed, resolve
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.frames import open_frame
@@ -475,21 +475,7 @@ def load_problem(path: str | Path) -> Problem:
     ModelError
         If it fails to load (with the line) or defines no problem.
     """
-    path = Path(path)
-    if path.exists() and not path.is_file():
-        raise DataError(
-            f"problem file {path} is no file; give a Python file that defines `problem`"
-        )
-    if not path.is_file():
-        folder = path.parent if path.parent.is_dir() else Path()
-        there = [p.name for p in folder.glob("*.py")]
-        hint = nearest(path.name, there) if there else ""
-        raise DataError(f"problem file {path} does not exist{hint}")
-    if path.suffix != ".py":
-        raise DataError(
-            f"{path} is not a problem file: a problem is a Python file that defines `problem`; "
-            "give data files after it"
-        )
+    path = problem_file(path)
     with importing(path) as module:
         found = getattr(module, "problem", None)
         if callable(found) and not isinstance(found, Problem):

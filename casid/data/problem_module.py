@@ -10,7 +10,33 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 
-from casid.errors import ModelError
+from casid.errors import DataError, ModelError, nearest
+
+
+def problem_file(path: str | Path) -> Path:
+    """The path of a problem file, which is there and is Python.
+
+    Raises
+    ------
+    DataError
+        If the file does not exist or is not Python.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise DataError(
+            f"problem file {path} is no file; give a Python file that defines `problem`"
+        )
+    if not path.is_file():
+        folder = path.parent if path.parent.is_dir() else Path()
+        there = [p.name for p in folder.glob("*.py")]
+        hint = nearest(path.name, there) if there else ""
+        raise DataError(f"problem file {path} does not exist{hint}")
+    if path.suffix != ".py":
+        raise DataError(
+            f"{path} is not a problem file: a problem is a Python file that defines `problem`; "
+            "give data files after it"
+        )
+    return path
 
 
 @contextmanager
