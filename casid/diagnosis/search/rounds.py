@@ -29,7 +29,7 @@ from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, peaks_of,
 from casid.diagnosis.search.alternatives import on_common_samples, ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.dead_times import with_far_dead_times
-from casid.diagnosis.search.friction_speeds import sharpened
+from casid.diagnosis.search.friction.speeds import sharpened
 from casid.diagnosis.search.imitations import (
     drives_one_way,
     is_at_resonance,

@@ -19,7 +19,7 @@ from casid.diagnosis.search.alternatives import (
 )
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.disturbance_alone import disturbance_alone, pays_beside
-from casid.diagnosis.search.friction_sharpness import (
+from casid.diagnosis.search.friction.sharpness import (
     with_sharp_friction,
     with_sharp_friction_beside,
     without_blunt_reversals,

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted, Candidate
-from casid.diagnosis.search.friction_sharpness import with_sharp_friction_beside
+from casid.diagnosis.search.friction.sharpness import with_sharp_friction_beside
 from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records

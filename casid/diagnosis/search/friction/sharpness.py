@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from casid.diagnosis.search.candidates import Adopted, name_of
-from casid.diagnosis.search.friction_speeds import likeliest_speed, steps_needed
+from casid.diagnosis.search.friction.speeds import likeliest_speed, steps_needed
 from casid.diagnosis.search.refinement import SUPERFLUOUS, Adoption, Refinement
 from casid.diagnosis.thresholds import FRICTION
 from casid.estimation.simulation.minimization import Fit
