@@ -104,6 +104,11 @@ def count_text(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
+def times_text(factor: float) -> str:
+    """By how much: twice, 4 times."""
+    return "twice" if factor == 2 else f"{factor:g} times"
+
+
 def are(n: int) -> str:
     """The verb of so many things: 1 gap is, 2 gaps are."""
     return "is" if n == 1 else "are"

@@ -20,11 +20,9 @@ from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError
 from casid.model.model import Model
-from casid.model.quantities import quantity_text
+from casid.model.quantities import quantity_text, times_text
 
 Change = Callable[[Array], Array]  # (N,) of one input, less its mean -> (M,)
-
-_TWICE = 2.0
 
 Bands = tuple[tuple[float, float], ...]
 
@@ -112,7 +110,7 @@ class Planner:
         """Everything that acts, `factor` times as large."""
         return self._changed(
             "larger amplitude",
-            f"the same excitation, {'twice' if factor == _TWICE else f'{factor:g} times'} as large",
+            f"the same excitation, {times_text(factor)} as large",
             lambda u: factor * u,
             lambda x0, mean: mean + factor * (x0 - mean),
         )
