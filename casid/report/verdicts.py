@@ -85,7 +85,7 @@ _DOUBTFUL = "the error bars do not contain every error"
 _IMPRECISE = "the error bars are large"
 _GOOD = "no test contradicts the estimates"
 _CONFIRM = (
-    "Confirm the model on a record of its own (--hold-out FILE) before you rely on it, and run "
+    "Confirm the model on another record (--hold-out FILE) before you rely on it, and run "
     "casid diagnose: what is missing need not colour the residual."
 )
 

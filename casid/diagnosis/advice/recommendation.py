@@ -253,7 +253,7 @@ def _of_a_deficient_model(
         return f"{declared} Then diagnose again."
     first = next((c for c in causes if c.kind != "hold"), causes[0])
     return f"{declared} " * bool(declared) + (
-        "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
+        "Use the extended model; confirm it on another record (--hold-out FILE), best "
         f"with {_next_record(first)}."
     )
 

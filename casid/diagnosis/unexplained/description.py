@@ -29,6 +29,8 @@ from casid.diagnosis.unexplained.missing_force import (
     quiet_fit,
 )
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force
+from casid.diagnosis.unexplained.variables import RAMP, STEP, variable_words
+from casid.model.effects.names import either_words
 from casid.model.quantities import span_text
 
 
@@ -270,7 +272,7 @@ def _sentences(
     ]
     rivals = best.dependences[0].rivals
     if rivals:
-        listed = ", ".join(" times a function of ".join(r) for r in rivals)
+        listed = either_words(" times a function of ".join(map(variable_words, r)) for r in rivals)
         out.append(f"In this record {listed} would explain nearly as much.")
     near = [m for m in found[1:] if m.dependences and best.score - m.score < DESCRIPTION.apart]
     if near:
@@ -352,9 +354,9 @@ def _in_time(
 def going_with(name: str, correlation: float) -> str:
     """That it is larger or smaller with the size of a variable; one made of the time, in words."""
     more = f"It is {'larger' if correlation > 0 else 'smaller'}"
-    if step := re.fullmatch(r"step at (\S+) s", name):
+    if step := STEP.fullmatch(name):
         return f"{more} after t = {float(step[1]):.6g} s than before."
-    if ramp := re.fullmatch(r"share of the time from (\S+) to (\S+) s, .*", name):
+    if ramp := RAMP.fullmatch(name):
         start, stop = (f"{float(t):.6g}" for t in ramp.groups())
         return f"{more} near t = {start} s and t = {stop} s than between."
     return f"{more} when {name} is large."

@@ -9,7 +9,6 @@ What the model's own parameters can absorb is in neither: a force is found up to
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -35,6 +34,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import Regression, Tested, require_place
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES, TERMS
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
+from casid.diagnosis.unexplained.variables import variable_words
 from casid.estimation.feedback import slope
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
@@ -80,10 +80,10 @@ class Dependence:
             w for w in (self.parity if self.parity != "neither" else "", self.growth) if w
         )
         label = f" ({shape})" if shape else ""
-        first = re.sub("^slope of", "the slope of", self.variables[0])
-        if len(self.variables) == 1:
+        first, *others = map(variable_words, self.variables)
+        if not others:
             return f"{first}{label}"
-        return f"{first}, by a factor that depends on {self.variables[1]}{label}"
+        return f"{first}, by a factor that depends on {others[0]}{label}"
 
     def to_json(self) -> dict[str, Any]:
         """Numbers and words, with the curve."""

@@ -17,8 +17,8 @@ from casid.model.quantities import count_text
 from casid.presentation import Presented
 
 _FLAT = (
-    "it hardly falls there, or has a kink: fix a parameter that has next to no effect, or try "
-    "other start values (starts=...)"
+    "the criterion hardly falls there, or has a kink: fix a parameter that has next to no effect, "
+    "or try other start values (starts=...)"
 )
 _REMEDIES = {
     "Infeasible_Problem_Detected": "the constraints contradict each other near the start: "

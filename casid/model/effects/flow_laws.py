@@ -146,8 +146,8 @@ def saturating_law(
         priority=-1,  # as a power law
         shape=f"{of or ''} {state}/(K+{state})".strip(),
         description=f"{_a_flow_in(model, own)}{f' {of} {state}' if of else ''} that levels off "
-        f"with {state}, as {state}/(K + {state}) does, not in proportion to it "
-        f"({r.name} is 1/K)",
+        f"with {state}, as {state}/(K + {state}) does, not in proportion to it; "
+        f"{r.name} is 1/K",
         constants={"reference": typical},
         declared_units={r.name: declared_quotient("1", declared)} if declared else {},
     )

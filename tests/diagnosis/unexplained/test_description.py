@@ -17,6 +17,7 @@ from casid.diagnosis.unexplained.description import (
     unexplained,
 )
 from casid.diagnosis.unexplained.missing_force import Dependence
+from casid.diagnosis.unexplained.variables import variable_words
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.parameter_effects import ramp_over, step_at
 from casid.report.figures.unexplained import (
@@ -135,3 +136,12 @@ def test_what_is_made_of_the_time_is_described_by_it() -> None:
     assert going_with(step, 0.5) == "It is larger after t = 5.71102 s than before."
     assert going_with(ramp, -0.5) == "It is smaller near t = 1 s and t = 9.5 s than between."
     assert going_with("phi", 0.5) == "It is larger when phi is large."
+
+
+def test_a_variable_made_of_the_time_is_said_with_the_digits_that_a_reader_wants():
+    """It is named by its instant to nine digits, which no sentence needs."""
+    step, ramp = step_at(17.435193312), ramp_over(0.0, 3600.0)
+    assert variable_words(step.name) == "a step at 17.4352 s"
+    assert variable_words(ramp.name) == "the time from 0 to 3600 s"
+    assert variable_words("slope of x") == "the slope of x"
+    assert variable_words("T") == "T"
