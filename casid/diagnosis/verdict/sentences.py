@@ -342,7 +342,7 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
     return f" Including {what} raises the RMS error of {', '.join(raised)}." if raised else ""
 
 
-_OPEN = "one of these is missing, and this record does not separate them: "
+_OPEN = "the model lacks one of these, and this record does not separate them: "
 
 
 def _joined(said: Sequence[str]) -> str:

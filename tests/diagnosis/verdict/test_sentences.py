@@ -133,7 +133,7 @@ def test_what_a_record_does_not_separate_is_said_once_for_several_causes():
     one = small().causes[0]
     assert one.tied
     text = verdict_sentence("deficient", [one, one], {}, "", pendulum.problem)
-    assert text.startswith("One of these is missing, and this record does not separate them: ")
+    assert text.startswith("The model lacks one of these, and this record does not separate them: ")
     assert text.count("this record does not separate") == 1
     assert "; and one of these: " in text
 
