@@ -27,6 +27,7 @@ from casid.model.effects.names import (
     effect_words,
     either_words,
     law_of,
+    place_of_law,
     place_words,
 )
 from casid.model.effects.parameter_effects import is_scheduled_by_power
@@ -219,8 +220,8 @@ def says(effect: Effect, column: str = "") -> str:
     if effect.shape == RATE:
         return says_rate_limit(effect.where, "a rate")
     if law := law_of(effect.kind, effect.description):
-        there = f"the {effect.where} balance" if effect.where.isidentifier() else effect.where
-        return f"{law}{',' if ',' in law else ''} is missing in {there}"
+        comma = "," if "," in law else ""
+        return f"{law}{comma} is missing{place_of_law(law, effect.where)}"
     if effect.kind == "time_delay" and effect.description:
         return _inputs_do(effect.where, effect.description)
     if effect.kind == "hold" and effect.description:

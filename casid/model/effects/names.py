@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 _NAMES = {
@@ -85,6 +86,9 @@ GROWS, OPPOSES = "that grows with", "that opposes"
 OVERFLOW, CLAMP = "an overflow", "a clamp"
 """In descriptions of laws that circuits and stores have where bodies have friction and stops."""
 
+_SIZE = re.compile(r"\|\(([^()|]*)\)\|")
+"""The size of a difference, whose bars need no brackets inside."""
+
 _LAWS = (
     "quadratic_damping",
     "cubic_damping",
@@ -118,6 +122,13 @@ def law_of(kind: str, description: str) -> str:
     return description if is_law else ""
 
 
+def place_of_law(law: str, where: str) -> str:
+    """Where a law acts, after its words; nothing where they end with the place itself."""
+    if law.endswith(f" {where}"):
+        return ""
+    return f" in the {where} balance" if where.isidentifier() else f" in {where}"
+
+
 def effect_words(kind: str, where: str, *, description: str = "") -> str:
     """An effect and its place in words; a kind of the user's own keeps its name.
 
@@ -130,7 +141,7 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
         return f"{kind} in {where}"
     if kind == "unknown":
         at, _, shape = where.partition(": ")
-        like = f" like {shape}" if shape else ""
+        like = " like " + _SIZE.sub(r"|\1|", shape) if shape else ""
         return f"unidentified term{like} in {unknown_place(at)}"
     at, _, variant = where.partition(": ")
     place = f"the {at} balance" if at.isidentifier() else at
@@ -144,7 +155,7 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
         course = description.removesuffix(BETWEEN_SAMPLES)
         return f"{_NAMES[kind].format(where=at)} ({course})"
     if law := law_of(kind, description).partition(",")[0]:
-        return f"{law.removeprefix('an ').removeprefix('a ')} in {place}"
+        return f"{law.removeprefix('an ').removeprefix('a ')}{place_of_law(law, at)}"
     words = _NAMES[kind].format(place=place, where=at, own=own, source=source or "the state")
     if description.endswith(FOR_A_WHILE):
         return f"{_FOR_A_WHILE.get(kind, words).format(where=at)} {FOR_A_WHILE}"

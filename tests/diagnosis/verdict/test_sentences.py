@@ -104,6 +104,16 @@ def test_a_law_is_called_by_what_its_balance_is_of(unit, rate, law):
     assert words == f"{law} that grows with the square of x in the balance balance"
 
 
+def test_a_place_that_the_law_has_already_is_not_said_twice():
+    law = "a heat flow that grows with the square of T1-Ta"
+    said = effect_words("quadratic_damping", "T1-Ta", description=law)
+    assert said == "heat flow that grows with the square of T1-Ta"
+    effect = replace(quadratic_damping(converter("W", "K"), "balance"), where="x", description=law)
+    assert says(effect) == f"{law} is missing in the x balance"
+    assert says(replace(effect, where="T1-Ta")) == f"{law} is missing"
+    assert effect_words("unknown", "T1-Ta: sqrt|(T1-Ta)|").endswith("like sqrt|T1-Ta| in T1-Ta")
+
+
 @pytest.mark.parametrize(
     ("kind", "where", "said"),
     [
