@@ -86,10 +86,10 @@ _SEPARATES = {
     "deadzone": "motion well inside the play and far beyond it",
     "offset": "a stretch in which everything rests, or the same motion in the other direction",
     "periodic_disturbance": "a record without excitation, whose spectrum shows the line alone",
-    "parameter_drift": "a second record that starts where the first one ends",
+    "parameter_drift": "a record that starts where the present one ends",
     "unknown": "excitation at several amplitudes and frequencies",
     "extra_input": "a record in which {where} moves while everything else rests",
-    "parameter_jump": "a second record under constant conditions, with a note of every change of "
+    "parameter_jump": "a record under constant conditions, with a note of every change of "
     "load or setting",
     "scheduled_parameter": "records in each of which {source} is held, at different values",
     "sensor_bias": "a stretch in which {where} is known, at rest or beside a reference instrument",
