@@ -305,7 +305,7 @@ def test_a_file_with_empty_cells_and_absent_rows_is_read_as_it_is(tmp_path: Path
     assert report.is_usable
     texts = {f.channel: f.text for f in report.findings if f.channel}
     assert "one row of 5 alone: a clock of its own, of 0.25 s" in texts["position"]
-    assert "3 samples (0.25 %) are missing, in 2 stretches, the longest of 0.1 s" in texts["speed"]
+    assert "3 samples (0.25 %) are missing, in 2 gaps, the longest of 0.1 s" in texts["speed"]
 
 
 def test_stamps_of_an_irregular_clock_count_where_they_are(tmp_path: Path) -> None:
