@@ -35,7 +35,7 @@ from scipy.stats import norm
 
 import casid
 from casid.data.experiment import Experiment
-from casid.estimation.noise import NoiseModel
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error

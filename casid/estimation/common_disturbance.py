@@ -16,7 +16,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part
-from casid.estimation.noise import NoiseModel
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import Response, joined
 from casid.estimation.source_spectra import SourceSpectra, lines_of
 from casid.estimation.whittle_scoring import At, impossible, minimum, of_spectra

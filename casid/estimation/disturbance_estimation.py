@@ -17,14 +17,8 @@ from casid.arrays import Array, BoolArray
 from casid.estimation.common_disturbance import CommonSearch
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.missing_samples import FILLED_FROM, unbroken
-from casid.estimation.noise import (
-    NoiseModel,
-    given_variances,
-    known_sources,
-    variances,
-    whittle,
-    with_rounding,
-)
+from casid.estimation.noise import given_variances, known_sources, variances, whittle, with_rounding
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import Response, joined, places_of_forces
 from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of, with_tangent
 from casid.estimation.simulation.simulation_error import SimulationError

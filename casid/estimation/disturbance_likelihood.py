@@ -22,7 +22,8 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.estimation.missing_samples import FILLED_FROM, unbroken
-from casid.estimation.noise import NoiseModel, known_sources, with_rounding
+from casid.estimation.noise import known_sources, with_rounding
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -16,7 +16,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.input_noise_floor import input_noise_floor
-from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.noise import estimate_noise
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import Steps, joined_steps, may_vary, steps_along
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_innovations import varying_innovations
@@ -58,7 +59,7 @@ def with_varying_response(
     along: dict[tuple[str, ...], list[Steps]] = {}
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in records]
-    found, least = noise, _misfit(noise, criterion, residuals) + _price(noise, criterion) - LIKELIER
+    found, least = noise, _misfit(noise, criterion, residuals) - LIKELIER
     for alike in _alternatives(noise, criterion, x, known, residuals):
         noisy = _noisy_inputs(alike, criterion)
         if noisy not in along:
@@ -66,17 +67,18 @@ def with_varying_response(
         varying = _along(alike, along[noisy])
         if varying is None:
             continue
-        misfit = _misfit(varying, criterion, residuals) + _price(varying, criterion)
+        misfit = _misfit(varying, criterion, residuals)
         if misfit < least:
             found, least = varying, misfit
     return found
 
 
-def _price(noise: NoiseModel, criterion: SimulationError) -> float:
-    """Of the forces, and of their spectra, by Schwarz's criterion."""
+def _misfit(noise: NoiseModel, criterion: SimulationError, residuals: Sequence[Array]) -> float:
+    """Minus the log-likelihood; forces and their spectra are priced by Schwarz's criterion."""
     inputs = criterion.model.inputs
     forces = sum(sd > 0.0 and name not in inputs for name, sd in noise.source_sd.items())
-    return 0.5 * (forces + len(noise.spectra)) * float(np.log(criterion.n_samples))
+    price = 0.5 * (forces + len(noise.spectra)) * float(np.log(criterion.n_samples))
+    return noise.minus_log_likelihood(residuals) + price
 
 
 def _alternatives(
@@ -111,15 +113,11 @@ def _alternatives(
 
 def _noisy_inputs(noise: NoiseModel, criterion: SimulationError) -> tuple[str, ...]:
     """Those whose noise is a noticeable part of the residual's."""
-    total = sum(
-        float((noise.spectrum(e) * noise.weights**2).mean()) for e in range(len(noise.responses))
-    )
-    made = {
-        name: noise.source_sd[name] ** 2 * sum(noise.gain(name, r) for r in noise.responses)
+    return tuple(
+        name
         for name, u in criterion.model.inputs.items()
-        if u.kind == "measured"
-    }
-    return tuple(name for name, power in made.items() if power > NOTICEABLE * total)
+        if u.kind == "measured" and noise.makes(name, NOTICEABLE, criterion.data)
+    )
 
 
 def _along(noise: NoiseModel, steps: Sequence[Steps]) -> NoiseModel | None:
@@ -133,14 +131,3 @@ def _along(noise: NoiseModel, steps: Sequence[Steps]) -> NoiseModel | None:
             except np.linalg.LinAlgError:
                 return None
     return replace(noise, varying=found)
-
-
-def _misfit(noise: NoiseModel, criterion: SimulationError, residuals: Sequence[Array]) -> float:
-    """Minus the log-likelihood of residuals (N, ny)."""
-    value = 0.0
-    with np.errstate(all="ignore"):
-        for e, d in enumerate(criterion.data):
-            weighted = np.where(d.used, residuals[e], 0.0) * noise.weights
-            white = noise.whiten(weighted[:, :, None], e)
-            value += 0.5 * float(np.sum(white**2)) + 0.5 * noise.log_determinant(e, d.N)
-    return value

@@ -31,7 +31,8 @@ from casid.estimation.intervals.choice import (
 )
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.nlp.solver import as_solver
-from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.noise import estimate_noise
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.prediction_error.disturbances import (
     Disturbance,
     rest_of,

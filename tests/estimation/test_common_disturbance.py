@@ -14,7 +14,8 @@ from casid.arrays import Array
 from casid.estimation.common_disturbance import CommonSearch, name_of_common
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part
-from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.noise import estimate_noise
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import Steps, joined_steps
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.source_spectra import SourceSpectra

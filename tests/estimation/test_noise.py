@@ -10,8 +10,9 @@ import pytest
 import casid
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.input_noise_floor import input_noise_floor
-from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.noise import estimate_noise
 from casid.estimation.noise_floor import is_held
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.signals import signals_of

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from casid.arrays import TINY
 from casid.data.files import plain_fields
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, RESIDUAL
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.input_noise_floor import input_noise_floor
-from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.noise import estimate_noise
 from casid.estimation.noise_floor import floor_error
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import name_of_force, shown_force
 from casid.model.model import Model
 from casid.model.quantities import quantity_text, quantity_texts
@@ -167,21 +167,22 @@ def disturbances_of(at: Weighted, level: float) -> tuple[Disturbance, ...]:
     ----------
     level : at which they are tested, all together.
     """
-    noise = at.full
+    noise, data = at.full, at.criterion.data
     if p_value_of(at, list(noise.source_sd)) >= level:
         return ()
-    total = _residual_power(at)
+    total = noise.power(data)
 
     found: dict[str, list[tuple[float, float, DisturbanceSpectrum | None]]] = {}
     # Of sources that act alike, the first carries the variance: that of inputs which their sensors
     # account for is noise, and the rest a force in their balance.
     for group in noise.alike:
-        carried = noise.source_sd[group[0]] ** 2 * _power_of(at, group[0])
-        measured = sum(at.input_sd.get(name, 0.0) ** 2 * _power_of(at, name) for name in group)
+        carried = noise.source_sd[group[0]] ** 2 * noise.unit_power(group[0], data)
+        own = {n: at.input_sd[n] for n in group if n in at.input_sd}
+        measured = sum(sd**2 * noise.unit_power(name, data) for name, sd in own.items())
         where = next((name for name in group if name in at.model.balances), group[0])
         # A balance that has its own spectrum is a separate source; here only its white part counts.
         is_white_part = where != group[0] and where in noise.spectra
-        unit_power = _power_of(at, where, is_white=is_white_part)
+        unit_power = noise.unit_power(where, data, is_white=is_white_part)
         share = (carried - measured) / total if total > 0 else 0.0
         if share > 0 and unit_power > 0:
             spectrum = None if is_white_part else noise.spectra.get(where)
@@ -269,27 +270,7 @@ def _noise_with(at: Weighted, stated: Mapping[str, float]) -> NoiseModel:
 
 def is_seen(at: Weighted, source: str) -> bool:
     """True if the noise found at a source makes `JUDGING.practical` of the residual or more."""
-    made = at.full.source_sd[source] ** 2 * _power_of(at, source)
-    return made > 0 and made >= JUDGING.practical * _residual_power(at)
-
-
-def _residual_power(at: Weighted) -> float:
-    """Of the residual, added over its samples and outputs in units of their weights."""
-    weights = at.full.weights**2
-    return sum(
-        d.N * float(np.mean(at.full.spectrum(e) @ weights)) for e, d in enumerate(at.criterion.data)
-    )
-
-
-def _power_of(at: Weighted, source: str, *, is_white: bool = False) -> float:
-    """Of the residual, for a unit standard deviation of a source; of one that is white."""
-    noise, total = at.full, 0.0
-    for r, d in zip(noise.responses, at.criterion.data, strict=True):
-        gain2 = r.gain2[:, :, r.sources.index(source)] @ noise.weights**2
-        if is_white and source in noise.spectra:
-            gain2 = gain2 / np.maximum(noise.spectra[source].at(r.omega, d.Ts), TINY)
-        total += d.N * float(np.mean(gain2))
-    return total
+    return at.full.makes(source, JUDGING.practical, at.criterion.data)
 
 
 def _peak(spectrum: DisturbanceSpectrum | None) -> tuple[float | None, float | None]:

@@ -18,7 +18,8 @@ from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.signature_columns import Columns
 from casid.diagnosis.thresholds import DISTURBED
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
-from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.noise import estimate_noise
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_response import with_varying_response
@@ -95,19 +96,15 @@ class _Residual:
         shapes = [(d.N, len(at.weights)) for d in at.data]
         for _ in range(rounds):
             step = self._step(noise, columns)
-            left = [
-                (r - c @ step).reshape(shape)
+            of = [
+                (r - c @ step).reshape(shape) / at.weights
                 for r, c, shape in zip(self.parts, columns, shapes, strict=True)
             ]
             x = within_bounds(at, bare.fit.x + step[: len(bare.fit.x)])
-            of = [part / at.weights for part in left]
             noise = estimate_noise(at, x, known=self.known, residuals=of)
             noise = with_disturbance_spectra(noise, at, x, self.known, residuals=of, near=near)
             noise = with_varying_response(noise, at, x, self.known, residuals=of)
-            white = [noise.whiten(part[:, :, None], e) for e, part in enumerate(left)]
-            misfit = 0.5 * sum(float(np.sum(w**2)) for w in white)
-            logs = sum(noise.log_determinant(e, shape[0]) for e, shape in enumerate(shapes))
-            least = min(least, misfit + 0.5 * logs)
+            least = min(least, noise.minus_log_likelihood(of))
         return least
 
     def _step(self, noise: NoiseModel, columns: Sequence[Array]) -> Array:

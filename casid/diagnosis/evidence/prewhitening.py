@@ -28,8 +28,9 @@ from casid.estimation.errors_in_variables.left_by_noise import share_that_is_the
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.noise import NoiseModel, error_over_noise, estimate_noise
+from casid.estimation.noise import error_over_noise, estimate_noise
 from casid.estimation.noise_floor import white_floor
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

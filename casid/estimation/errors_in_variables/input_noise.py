@@ -22,13 +22,9 @@ from casid.estimation.errors_in_variables.equations import both_halves, columns_
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.missing_samples import unbroken
-from casid.estimation.noise import (
-    NoiseModel,
-    Seen,
-    estimate_noise,
-    with_rounding,
-)
+from casid.estimation.noise import Seen, estimate_noise, with_rounding
 from casid.estimation.noise_floor import floor_error
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -19,7 +19,7 @@ from casid.estimation.errors_in_variables.input_noise import (
 from casid.estimation.errors_in_variables.left_by_noise import left_by_noise, squares
 from casid.estimation.errors_in_variables.thresholds import REMOVAL, VARIANCE_SLOPE
 from casid.estimation.generalised_least_squares import SpectralWeights, weighted_by_spectrum
-from casid.estimation.noise import NoiseModel
+from casid.estimation.noise_model import NoiseModel
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError, Whitener
 
