@@ -7,14 +7,15 @@ every sample, with the spectrum of each source as a state-space model of its own
     y_k = C_k x_k + D_k h s_k + w_k,                                                          (1)
 
 it has innovations that a Kalman filter finds (B. D. O. Anderson and J. B. Moore, Optimal Filtering,
-1979, chapters 4 and 9). The filter's gains are found once; columns pass through it as the solution
-of a banded triangular system.
+1979, chapters 4, 5 and 9). White sources s need no state: x_k - B1_{k-1} s_k does not depend on
+s_k, and what that moves at the next sample it has in common with the output. The filter's gains are
+found once; columns pass through it as the solution of a banded triangular system.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -41,7 +42,8 @@ class Process:
     ----------
     a, c : (N, m, m), (N, n, m).
     Q : (N, m, m) covariance of what drives the state.
-    R : (n, n) that of the outputs' white noise.
+    R : (N, n, n) that of the outputs' white noise.
+    S : (N, m, n) of the two.
     P : (m, m) that of the state at the first sample.
     """
 
@@ -49,6 +51,7 @@ class Process:
     c: Array
     Q: Array
     R: Array
+    S: Array
     P: Array
 
 
@@ -67,16 +70,19 @@ class VaryingInnovations:
 
     def __init__(self, process: Process, used: BoolArray | None = None) -> None:
         self.process, self._used = process, used
-        a, c, R = process.a, process.c, process.R
-        N, n, m = c.shape
-        white = np.broadcast_to(R, (N, n, n))
+        seen, n = process, process.c.shape[1]
         if used is not None:  # what is missing shows nothing, and has one unit of white noise
-            c = c * used[:, :, None]
-            white = np.where(used[:, :, None] & used[:, None, :], R, np.eye(n))
-        self._c = c
-        sweep = _by_casadi if m <= COMPILED else _by_numpy
-        self._gains, self._roots = sweep(process, c, white)
-        self._band = _bands(a - self._gains @ c)
+            pairs = used[:, :, None] & used[:, None, :]
+            seen = replace(
+                process,
+                c=process.c * used[:, :, None],
+                R=np.where(pairs, process.R, np.eye(n)),
+                S=process.S * used[:, None, :],
+            )
+        self._c = seen.c
+        sweep = _by_casadi if len(process.P) <= COMPILED else _by_numpy
+        self._gains, self._roots = sweep(seen)
+        self._band = _bands(seen.a - self._gains @ seen.c)
 
     def whiten(self, columns: Array) -> Array:
         """e (N, n, m) of columns r (N, n, m), for the N that it is for."""
@@ -100,14 +106,20 @@ class VaryingInnovations:
     def log_determinant(self, samples: int) -> float:
         """log det of the covariance of the samples that there are of so many."""
         assert samples == len(self._roots)
-        return -2 * float(np.sum(np.log(np.einsum("kii->ki", self._roots))))
+        return -2 * float(np.sum(self.log_roots))
+
+    @property
+    def log_roots(self) -> Array:
+        """(N, n) logarithm of 1 / sd of what each output adds to those before; 0 where it lacks."""
+        return np.asarray(np.log(np.einsum("kii->ki", self._roots)))
 
     def cut(self, rows: slice) -> VaryingInnovations:
         """Those of these rows alone."""
         p = self.process
         if rows == slice(0, len(p.a)):
             return self
-        return VaryingInnovations(Process(p.a[rows], p.c[rows], p.Q[rows], p.R, p.P))
+        parts = {name: getattr(p, name)[rows] for name in ("a", "c", "Q", "R", "S")}
+        return VaryingInnovations(replace(p, **parts))
 
     def _states(self, columns: Array, band: Array) -> Array:
         """(N, m, c) that columns (N, n, c) times the gains lead to."""
@@ -116,28 +128,28 @@ class VaryingInnovations:
         return _solved(band, states, "N")
 
 
-def _by_numpy(process: Process, c: Array, white: Array) -> tuple[Array, Array]:
+def _by_numpy(process: Process) -> tuple[Array, Array]:
     """Gains (N, m, n) and inverse roots (N, n, n) of the covariances, sample by sample."""
+    a, c, P = process.a, process.c, process.P
     N, n, m = c.shape
-    a, P = process.a, process.P
     gains, roots = np.empty((N, m, n)), np.empty((N, n, n))
     for k in range(N):
         seen = P @ c[k].T
-        root = _inverse_root(c[k] @ seen + white[k])
-        half = a[k] @ seen @ root.T
+        root = _inverse_root(c[k] @ seen + process.R[k])
+        half = (a[k] @ seen + process.S[k]) @ root.T
         roots[k], gains[k] = root, half @ root
         P = a[k] @ P @ a[k].T - half @ half.T + process.Q[k]
         P = 0.5 * (P + P.T)
     return gains, roots
 
 
-def _by_casadi(process: Process, c: Array, white: Array) -> tuple[Array, Array]:
+def _by_casadi(process: Process) -> tuple[Array, Array]:
     """The same of few states, in blocks, in a fifth of the time."""
-    N, n, m = c.shape
+    N, n, m = process.c.shape
     past = -N % BLOCK  # the last block is filled up with its last sample
     parts = [
         np.concatenate([part, np.broadcast_to(part[-1:], (past, *part.shape[1:]))])
-        for part in (process.a, c, process.Q, white)
+        for part in (process.a, process.c, process.Q, process.R, process.S)
     ]
     gains, roots = np.empty((N + past, m, n)), np.empty((N + past, n, n))
     P, sweep = process.P, _block(m, n)
@@ -157,12 +169,12 @@ def _by_casadi(process: Process, c: Array, white: Array) -> tuple[Array, Array]:
 def _block(m: int, n: int) -> Any:
     """The Riccati recursion of (1) over a block of samples, of m states and n outputs."""
     P, a, Q = (ca.SX.sym(name, m, m) for name in ("P", "a", "Q"))
-    c, R = ca.SX.sym("c", n, m), ca.SX.sym("R", n, n)
+    c, R, S = ca.SX.sym("c", n, m), ca.SX.sym("R", n, n), ca.SX.sym("S", m, n)
     seen = P @ c.T
     root = ca.solve(ca.chol(c @ seen + R).T, ca.SX.eye(n))
-    half = a @ seen @ root.T
+    half = (a @ seen + S) @ root.T
     after = a @ P @ a.T - half @ half.T + Q
-    step = ca.Function("step", [P, a, c, Q, R], [0.5 * (after + after.T), root, half @ root])
+    step = ca.Function("step", [P, a, c, Q, R, S], [0.5 * (after + after.T), root, half @ root])
     return step.mapaccum(BLOCK)
 
 
@@ -213,9 +225,10 @@ def varying_innovations(
     numpy.linalg.LinAlgError
         If the covariance of a sample is not positive definite.
     """
-    places = [i for i, name in enumerate(steps.sources) if source_sd.get(name, 0.0) > 0.0]
-    names = [steps.sources[i] for i in places]
-    F, V, h = _of_sources([_form(source_sd[n], spectra.get(n), steps.Ts) for n in names])
+    moving = [n for n in steps.sources if source_sd.get(n, 0.0) > 0.0]
+    names = [n for n in moving if n in spectra]
+    places = [steps.sources.index(n) for n in names]
+    F, V, h = _of_sources([_form(source_sd[n], spectra[n], steps.Ts) for n in names])
     N, nx, ns = len(steps.a), steps.a.shape[1], len(F)
     a = np.zeros((N, nx + ns, nx + ns))
     ahead = steps.b1[:, :, places] @ h
@@ -224,8 +237,27 @@ def varying_innovations(
     enters = np.concatenate([ahead, np.broadcast_to(np.eye(ns), (N, ns, ns))], axis=1)
     Q = enters @ V @ enters.swapaxes(1, 2)
     c = np.concatenate([steps.c, steps.d[:, :, places] @ h], axis=2) * weights[:, None]
+    R = np.broadcast_to(np.diag((output_sd * weights) ** 2), (N, *c.shape[1:2] * 2))
+    white = [n for n in moving if n not in spectra]
+    moves, shows = _of_white(steps, white, np.array([source_sd[n] for n in white]))
+    moves = np.concatenate([moves, np.zeros((N, ns, len(white)))], axis=1)
+    shows = shows * weights[:, None]
+    Q = Q + moves @ moves.swapaxes(1, 2)
+    R = R + shows @ shows.swapaxes(1, 2)
     before = _before(a.mean(axis=0), Q.mean(axis=0), N)
-    return VaryingInnovations(Process(a, c, Q, np.diag((output_sd * weights) ** 2), before))
+    return VaryingInnovations(Process(a, c, Q, R, moves @ shows.swapaxes(1, 2), before))
+
+
+def _of_white(steps: Steps, names: Sequence[str], sd: Array) -> tuple[Array, Array]:
+    """What white sources move at the next sample (N, nx, w), and at their own in outputs (N, n, w).
+
+    Of the state less what they move before a sample. The first is moved as the second is.
+    """
+    places = [steps.sources.index(n) for n in names]
+    before = steps.b1[:, :, places] * sd
+    before = np.concatenate([before[:1], before[:-1]])
+    moves = steps.a @ before + steps.b0[:, :, places] * sd
+    return moves, steps.c @ before + steps.d[:, :, places] * sd
 
 
 def _of_sources(forms: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
@@ -239,10 +271,8 @@ def _of_sources(forms: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, 
     return F, V, h
 
 
-def _form(sd: float, spectrum: DisturbanceSpectrum | None, Ts: float) -> tuple[Array, Array, Array]:
-    """F, the covariance of v, and h of one source, sampled."""
-    if spectrum is None:
-        return np.zeros((1, 1)), np.array([[sd**2]]), np.ones(1)
+def _form(sd: float, spectrum: DisturbanceSpectrum, Ts: float) -> tuple[Array, Array, Array]:
+    """F, the covariance of v, and h of one source with a spectrum, sampled."""
     w = spectrum.frequency
     if spectrum.damping is None:
         f = np.exp(-w * Ts)

@@ -38,12 +38,16 @@ def found() -> VaryingInnovations:
     return varying_innovations(steps(), SD, {"u": WHITE, "force": FORCE}, spectra, WEIGHTS)
 
 
-def covariance(start: np.ndarray) -> np.ndarray:
+def covariance(of: VaryingInnovations) -> np.ndarray:
     """(2 N, 2 N) of the outputs, by what each source at each sample moves later.
 
-    `start` (2, 4) is what the first state has in common with itself and with the first sources.
+    The first state is that of the filter, and what the white source at the first sample moves.
     """
     s = steps()
+    P, by_white = of.process.P, s.b1[0, :, 0]
+    start = np.zeros((2, 4))  # what it has in common with itself and with the first sources
+    start[:, :2] = P[:2, :2] + WHITE**2 * np.outer(by_white, by_white)
+    start[:, 2], start[:, 3] = WHITE**2 * by_white, P[:2, 2]
     lags = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
     own = np.zeros((2 + 2 * N, 2 + 2 * N))  # first states, then sources sample by sample
     own[2::2, 2::2] = WHITE**2 * np.eye(N)
@@ -68,7 +72,7 @@ def covariance(start: np.ndarray) -> np.ndarray:
 
 def test_the_sum_of_squares_and_the_determinant_are_those_of_the_whole_record():
     of = found()
-    whole = covariance(of.process.P[:2])
+    whole = covariance(of)
     r = np.random.default_rng(1).standard_normal((N, 2, 3))
     flat = r.reshape(2 * N, 3)
     e = of.whiten(r).reshape(2 * N, 3)
@@ -123,7 +127,7 @@ def test_samples_that_are_missing_between_others_count_for_nothing():
     used = np.random.default_rng(3).random((N, 2)) > 0.2
     used[10:15] = False
     there = used.ravel()
-    whole = covariance(of.process.P[:2])[np.ix_(there, there)]
+    whole = covariance(of)[np.ix_(there, there)]
     r = np.random.default_rng(4).standard_normal((N, 2, 3))
     flat = r.reshape(2 * N, 3)[there]
     partial = PartialVarying(of, used)
