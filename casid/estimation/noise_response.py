@@ -7,14 +7,13 @@ speed. Whatever acts in one balance alone moves two outputs in proportion, frequ
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 from scipy.fft import rfft
-from scipy.ndimage import median_filter
 
 from casid.arrays import Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, Part
@@ -31,9 +30,6 @@ from casid.model.units import difference_from_si, unit_quotient
 
 POINTS = 200
 """Samples of a record at which a model that is not linear is linearised."""
-MEDIAN_OF = 31
-"""Samples of a noisy input, whose median a response follows: a thirtieth of what each sample's
-noise would move is left, and a step stays where it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,8 +214,24 @@ def may_vary(criterion: SimulationError) -> bool:
     return not all(_linearised(criterion, d.Ts)[3] for d in criterion.data)
 
 
+def multiplied_inputs(criterion: SimulationError) -> tuple[str, ...]:
+    """The inputs on which slopes of the equations depend, as a flow that carries heat."""
+    found: tuple[str, ...] = criterion.built("multiplied inputs", lambda: _multiplied(criterion))
+    return found
+
+
+def _multiplied(criterion: SimulationError) -> tuple[str, ...]:
+    e = criterion.model.explicit()
+    slopes = [ca.jacobian(of, by) for of in (e.f, e.h) for by in (e.x, e.u)]
+    met = ca.which_depends(ca.veccat(*slopes), e.u)
+    return tuple(name for name, is_met in zip(e.inputs, met, strict=True) if is_met)
+
+
 def steps_along(
-    criterion: SimulationError, x: Array, experiment: int, noisy: Collection[str] = ()
+    criterion: SimulationError,
+    x: Array,
+    experiment: int,
+    off: Mapping[str, Array] | None = None,
 ) -> Steps:
     """The steps of a record at every sample.
 
@@ -227,15 +239,13 @@ def steps_along(
 
     Parameters
     ----------
-    noisy : inputs whose running median is followed: what follows the noise of an input has it in
-        common with the residual, and moves the mean of their product.
+    off : input -> (N,) by how much it was more than recorded, as far as is known.
     """
     d = criterion.data[experiment]
     disturbed, e, *_ = _linearised(criterion, d.Ts)
     u = d.u.copy()
-    for i, name in enumerate(criterion.model.inputs):
-        if name in noisy:
-            u[:, i] = median_filter(u[:, i], MEDIAN_OF, mode="nearest")
+    for name, more in (off or {}).items():
+        u[:, list(criterion.model.inputs).index(name)] += more
     ahead = np.vstack([u[1:], u[-1:]])
     states = criterion.simulated(x, experiment).x
     a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, u, ahead)

@@ -212,6 +212,7 @@ def varying_innovations(
     source_sd: Mapping[str, float],
     spectra: Mapping[str, DisturbanceSpectrum],
     weights: Array,
+    used: BoolArray | None = None,
 ) -> VaryingInnovations:
     """The innovations of one record, of outputs times `weights`.
 
@@ -219,6 +220,7 @@ def varying_innovations(
     ----------
     output_sd : (ny,) white noise of each output.
     source_sd : of a sample of each source, whose spectrum is white or one of `spectra`.
+    used : (N, ny) the samples that there are, default all.
 
     Raises
     ------
@@ -245,7 +247,38 @@ def varying_innovations(
     Q = Q + moves @ moves.swapaxes(1, 2)
     R = R + shows @ shows.swapaxes(1, 2)
     before = _before(a.mean(axis=0), Q.mean(axis=0), N)
-    return VaryingInnovations(Process(a, c, Q, R, moves @ shows.swapaxes(1, 2), before))
+    return VaryingInnovations(Process(a, c, Q, R, moves @ shows.swapaxes(1, 2), before), used)
+
+
+def smoothed_sources(
+    of: VaryingInnovations,
+    steps: Steps,
+    source_sd: Mapping[str, float],
+    weights: Array,
+    weighted: Array,
+) -> dict[str, Array]:
+    """(N,) what white sources are expected to have been, given outputs (N, n, 1) times `weights`.
+
+    Their covariance with the outputs times the inverse of that of these: a smoother that goes back
+    through the record once (J. Durbin and S. J. Koopman, Time Series Analysis by State Space
+    Methods, 2nd ed. 2012, section 4.5).
+
+    Parameters
+    ----------
+    source_sd : of each source that is sought.
+    """
+    left = of.transposed(of.whiten(weighted))[:, :, 0] * weights
+    into = _solved(_bands(steps.a), np.einsum("kji,kj->ki", steps.c, left)[:, :, None], "T")[
+        :, :, 0
+    ]
+    out = {}
+    for name, sd in source_sd.items():
+        j = steps.sources.index(name)
+        before = np.concatenate([steps.b1[:1, :, j], steps.b1[:-1, :, j]])
+        slope = np.einsum("ki,ki->k", before, into) + np.einsum("kj,kj->k", steps.d[:, :, j], left)
+        slope[:-1] += np.einsum("ki,ki->k", steps.b0[:-1, :, j], into[1:])
+        out[name] = sd**2 * slope
+    return out
 
 
 def _of_white(steps: Steps, names: Sequence[str], sd: Array) -> tuple[Array, Array]:

@@ -4,7 +4,8 @@
 what a force or the noise of an input does, the residual that it leaves is neither stationary nor
 white under that, and passes for a function of what changed the response. A filter along the path
 (`varying_innovations`) is used in its place where the residual is likelier under it, at the same
-variances and spectra, or with the noise of the inputs in place of a force.
+variances and spectra, or with the noise of the inputs in place of a force; variances under which
+it is not white are estimated anew (`varying_variances`).
 """
 
 from __future__ import annotations
@@ -18,15 +19,20 @@ from casid.arrays import Array
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.noise import estimate_noise
 from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import Steps, joined_steps, may_vary, steps_along
+from casid.estimation.noise_response import Steps, may_vary, multiplied_inputs, steps_along
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.varying_innovations import varying_innovations
+from casid.estimation.varying_innovations import smoothed_sources
+from casid.estimation.varying_variances import (
+    NOTICEABLE,
+    filters_along,
+    is_white,
+    weighted,
+    with_likeliest_variances,
+)
 
 LIKELIER = 5.0
 """Units of log-likelihood by which the residual has to be likelier: ends of a record, which the
 two do not begin alike, and sampled spectra make a few."""
-NOTICEABLE = 0.01
-"""Of the residual's power, beyond which the noise of an input counts as one."""
 
 
 def with_varying_response(
@@ -56,21 +62,60 @@ def with_varying_response(
     for e, d in enumerate(criterion.data):
         if d.filled or len(criterion.starts_anew(e)):
             return noise
-    along: dict[tuple[str, ...], list[Steps]] = {}
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in records]
-    found, least = noise, _misfit(noise, criterion, residuals) - LIKELIER
+    recorded = [steps_along(criterion, x, e) for e in records]
+    found, least, path = noise, np.inf, recorded
     for alike in _alternatives(noise, criterion, x, known, residuals):
-        noisy = _noisy_inputs(alike, criterion)
-        if noisy not in along:
-            along[noisy] = [steps_along(criterion, x, e, noisy) for e in records]
-        varying = _along(alike, along[noisy])
-        if varying is None:
+        steps = _followed(alike, recorded, criterion, x, residuals)
+        filters = None if steps is None else filters_along(alike, steps)
+        if steps is None or filters is None:
             continue
+        varying = replace(alike, varying=filters)
         misfit = _misfit(varying, criterion, residuals)
         if misfit < least:
-            found, least = varying, misfit
-    return found
+            found, least, path = varying, misfit, steps
+    if not found.varying:
+        return noise
+    if not is_white(found, criterion.data, residuals):
+        found = with_likeliest_variances(found, path, criterion, residuals)
+        least = _misfit(found, criterion, residuals)
+    return found if least < _misfit(noise, criterion, residuals) - LIKELIER else noise
+
+
+def _followed(
+    noise: NoiseModel,
+    recorded: list[Steps],
+    criterion: SimulationError,
+    x: Array,
+    residuals: Sequence[Array],
+) -> list[Steps] | None:
+    """The steps along what noisy inputs are expected to have been, given the residuals.
+
+    What follows the noise of an input has it in common with the residual, and moves the mean of
+    their product; what is expected given that residual has nothing in common with it. Of a product
+    of an input and a state, what noise moves is linear in it along the simulated state and the
+    input as it was, exactly.
+
+    Parameters
+    ----------
+    recorded : the steps along the recorded inputs.
+
+    Returns
+    -------
+    The steps of each experiment; None where the filter along the recorded inputs diverges.
+    """
+    noisy = _noisy_inputs(noise, criterion)
+    if not noisy:
+        return recorded
+    filters = filters_along(noise, recorded, criterion.data)
+    if filters is None:
+        return None
+    out = []
+    for e, columns in enumerate(weighted(noise, criterion.data, residuals)):
+        off = smoothed_sources(filters[e], recorded[e], noisy, noise.weights, columns)
+        out.append(steps_along(criterion, x, e, off))
+    return out
 
 
 def _misfit(noise: NoiseModel, criterion: SimulationError, residuals: Sequence[Array]) -> float:
@@ -111,23 +156,11 @@ def _alternatives(
         yield replace(of_inputs, known=noise.known)
 
 
-def _noisy_inputs(noise: NoiseModel, criterion: SimulationError) -> tuple[str, ...]:
-    """Those whose noise is a noticeable part of the residual's."""
-    return tuple(
-        name
-        for name, u in criterion.model.inputs.items()
-        if u.kind == "measured" and noise.makes(name, NOTICEABLE, criterion.data)
-    )
-
-
-def _along(noise: NoiseModel, steps: Sequence[Steps]) -> NoiseModel | None:
-    """The noise with innovations along these steps; None where they diverge."""
-    found = []
-    with np.errstate(all="ignore"):
-        for each in steps:
-            of = noise.output_sd, noise.source_sd, noise.spectra, noise.weights
-            try:
-                found.append(varying_innovations(joined_steps(each, noise.spectra), *of))
-            except np.linalg.LinAlgError:
-                return None
-    return replace(noise, varying=found)
+def _noisy_inputs(noise: NoiseModel, criterion: SimulationError) -> dict[str, float]:
+    """Standard deviations of those that multiply, and make a noticeable part of the residual."""
+    inputs = criterion.model.inputs
+    return {
+        name: noise.source_sd[name]
+        for name in multiplied_inputs(criterion)
+        if inputs[name].kind == "measured" and noise.makes(name, NOTICEABLE, criterion.data)
+    }

@@ -13,6 +13,7 @@ from casid.estimation.noise_response import Steps
 from casid.estimation.varying_innovations import (
     PartialVarying,
     VaryingInnovations,
+    smoothed_sources,
     varying_innovations,
 )
 
@@ -38,9 +39,10 @@ def found() -> VaryingInnovations:
     return varying_innovations(steps(), SD, {"u": WHITE, "force": FORCE}, spectra, WEIGHTS)
 
 
-def covariance(of: VaryingInnovations) -> np.ndarray:
-    """(2 N, 2 N) of the outputs, by what each source at each sample moves later.
+def moved(of: VaryingInnovations) -> tuple[np.ndarray, np.ndarray]:
+    """What first states and each source at each sample move in the outputs, and their covariance.
 
+    (2 N, 2 + 2 N) and (2 + 2 N, 2 + 2 N), the sources of a sample one after the other.
     The first state is that of the filter, and what the white source at the first sample moves.
     """
     s = steps()
@@ -64,7 +66,12 @@ def covariance(of: VaryingInnovations) -> np.ndarray:
         rows.append(s.c[k] @ x + s.d[k] @ here)
         ahead = np.roll(here, 2, axis=1)
         x = s.a[k] @ x + s.b0[k] @ here + s.b1[k] @ ahead
-    gain = np.concatenate(rows)
+    return np.concatenate(rows), own
+
+
+def covariance(of: VaryingInnovations) -> np.ndarray:
+    """(2 N, 2 N) of the outputs times their weights."""
+    gain, own = moved(of)
     whole = gain @ own @ gain.T + np.diag(np.tile(SD**2, N))
     scale = np.tile(WEIGHTS, N)
     return whole * np.outer(scale, scale)
@@ -137,3 +144,18 @@ def test_samples_that_are_missing_between_others_count_for_nothing():
     assert squares == pytest.approx(flat.T @ np.linalg.solve(whole, flat), rel=1e-8)
     assert partial.log_determinant(N) == pytest.approx(np.linalg.slogdet(whole)[1], abs=1e-6)
     assert partial.seen(of.whiten(r)) == pytest.approx(e, abs=1e-9)
+
+
+def test_a_white_source_is_expected_to_be_what_its_covariance_with_the_outputs_says():
+    """Also where samples are missing."""
+    used = np.random.default_rng(6).random((N, 2)) > 0.2
+    whole = found()
+    gain, own = moved(whole)
+    there = used.ravel()
+    scale = np.tile(WEIGHTS, N)
+    with_outputs = (own[2::2] @ gain.T * scale)[:, there]
+    r = np.random.default_rng(7).standard_normal((N, 2, 1))
+    inverse = np.linalg.solve(covariance(whole)[np.ix_(there, there)], r.ravel()[there])
+    of = VaryingInnovations(whole.process, used)
+    expected = smoothed_sources(of, steps(), {"u": WHITE}, WEIGHTS, r)
+    assert expected["u"] == pytest.approx(with_outputs @ inverse, rel=1e-6, abs=1e-9)
