@@ -16,22 +16,17 @@ Minimised by Fisher scoring, in bands of frequencies.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.estimation.missing_samples import FILLED_FROM, unbroken
+from casid.estimation.model_spectra import ModelSpectra, completed
 from casid.estimation.noise import known_sources, with_rounding
 from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.source_spectra import SourceSpectra, lines_of
+from casid.estimation.source_spectra import SourceSpectra
 from casid.estimation.whittle_scoring import At, impossible, minimum, of_spectra
-
-DIFFERENCE = 1e-4
-"""Relative change of a parameter over which responses are differentiated."""
 
 
 def likeliest(
@@ -51,7 +46,7 @@ def likeliest(
     noise : at `x`; its forces with spectra keep the family of theirs.
     known : channel -> standard deviation that is not estimated.
     """
-    signals = _complete(criterion, x, noise)
+    signals = completed(criterion, x, noise)
     if criterion.segments > 1 or signals is None:
         return x
     search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}), signals)
@@ -74,29 +69,7 @@ def errors(
     return np.asarray((np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size)[: len(x)])
 
 
-def _complete(
-    criterion: SimulationError, x: Array, noise: NoiseModel
-) -> list[Signals | None] | None:
-    """The records with a draw of what they miss at `x`, None of one that misses nothing in between.
-
-    None where a record cannot be completed so.
-    """
-    rng = np.random.default_rng(0)
-    out: list[Signals | None] = []
-    for e, d in enumerate(criterion.data):
-        if unbroken(d.used) is not None:  # of a late input the first samples are left out
-            out.append(None)
-            continue
-        if d.used.mean() < FILLED_FROM:
-            return None
-        at = criterion.simulated(x, e)
-        drawn = noise.filled(at.residual, e, rng) * d.relative_sizes
-        y = np.where(d.used, d.y, at.y + drawn)
-        out.append(replace(d, y=y, used=np.ones_like(d.used)))
-    return out
-
-
-class _Likelihood:
+class _Likelihood(ModelSpectra):
     """(1) over the variables of a criterion, log variances and log shapes of spectra."""
 
     def __init__(
@@ -106,14 +79,12 @@ class _Likelihood:
         known: Mapping[str, float],
         signals: Sequence[Signals | None],
     ) -> None:
-        self.criterion, self.signals = criterion, signals
         stated = known_sources(known, criterion.model)
-        self.sources = SourceSpectra(
+        sources = SourceSpectra(
             criterion.outputs, noise.output_sd, noise.source_sd, noise.spectra, (known, stated)
         )
-        self.start = self.sources.start
-        self.lower = np.array([v.lower for v in criterion.variables])
-        self.upper = np.array([v.upper for v in criterion.variables])
+        super().__init__(criterion, sources, signals)
+        self.start = sources.start
 
     def at(self, z: Array) -> At:
         """Value, gradient and information at a point."""
@@ -132,17 +103,12 @@ class _Likelihood:
         return At(value if is_finite else np.inf, gradient, information)
 
     def _of_record(self, z: Array, e: int) -> At:
-        n, d = len(self.lower), self.criterion.data[e]
-        simulated = self.criterion.simulated(z[:n], e, signals=self.signals[e])
-        stack = np.concatenate([simulated.residual[:, :, None], -simulated.jacobian], axis=2)
-        if self.signals[e] is None:
-            stack = stack[unbroken(d.used) or slice(None)]
-        if not np.all(np.isfinite(stack)):
+        n, lines = len(self.lower), self.lines(z, e)
+        if lines is None:
             return impossible(len(z))
-        lines = lines_of(stack)
         R, J = lines.values[:, :, 0], lines.values[:, :, 1:]
         power = np.add.reduceat(R[:, :, None] * R[:, None, :].conj(), lines.edges)
-        S, slopes = self._spectra(z, e, lines.omega)
+        S, slopes = self.spectra(z, e, lines.omega)
         at = of_spectra(z, S, slopes, lines.count, power / lines.count[:, None, None])
         if at is None:
             return impossible(len(z))
@@ -153,25 +119,3 @@ class _Likelihood:
         white = np.einsum("fij,fjm->fim", whole, J)
         at.information[:n, :n] += 2 * np.real(np.einsum("fim,fik->mk", J.conj(), white))
         return at
-
-    def _spectra(self, z: Array, e: int, omega: Array) -> tuple[Array, dict[int, Array]]:
-        """S (F, ny, ny) at `omega`, and its derivative for each place of z that it depends on."""
-        n, Ts = len(self.lower), self.criterion.data[e].Ts
-        r = self._response(z[:n], e, omega)
-        S, shapes = self.sources.at(z[n:], r, Ts)
-        slopes = {n + k: slope for k, slope in shapes.items()}
-        for k, v in enumerate(self.criterion.variables):
-            if v.source not in self.criterion.model.parameters:
-                continue
-            h = DIFFERENCE * max(abs(float(z[k])), v.scale)
-            h = -h if z[k] + h > v.upper else h
-            moved = z[:n].copy()
-            moved[k] += h
-            there = self._response(moved, e, omega, is_beside=True)
-            slope = self.sources.change(z[n:], r, there, Ts) / h
-            if np.any(slope):
-                slopes[k] = slope
-        return S, slopes
-
-    def _response(self, x: Array, e: int, omega: Array, *, is_beside: bool = False) -> Response:
-        return noise_response(self.criterion, x, e, omega=omega, is_beside=is_beside)
