@@ -41,7 +41,7 @@ from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.input_feedback import feedback_notes
 from casid.estimation.simulation.input_gaps import with_gaps_treated
-from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.minimization import Fit, require_minimum, whitened
 from casid.estimation.simulation.simulation_estimate import (
     channel_notes,
     estimate_of,
@@ -309,8 +309,11 @@ def _estimation(
         scores, tied = found.fit.criterion.scores(found.fit.x), found.fit.solution
         return sandwich(tied.hessian, scores, mask, tied.constraint_jacobian)[0]
 
+    fit = found.fit if found.weights is None else found.weights.fit
+    if found.is_removed and found.noise is not None:
+        fit = whitened(fit, found.noise.whiten)
     return Estimation(
-        found.fit if found.weights is None else found.weights.fit,
+        fit,
         lambda free: covariance(tuple(free.tolist())),
         replace(settings, segments=found.fit.criterion.segments),
         problem.noise,
@@ -371,6 +374,13 @@ def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[
     return estimate_of(problem, fit, held_out, method=method, notes=notes, bars=bars)
 
 
+def _is_found_without_noise(problem: Problem, fit: Fit, settings: FitSettings) -> bool:
+    """Whether noise on the inputs hides the minimum, but not the estimate without it."""
+    if fit.solution.is_converged or fit.not_done:
+        return False
+    return without_input_noise(fit, problem.noise, seed=settings.seed).is_removed
+
+
 def _fit(
     problem: Problem,
     experiments: Sequence[Experiment],
@@ -389,7 +399,9 @@ def _fit(
         if in_segments is not None:
             return in_segments, None
     try:
-        fit = fit_model(problem.model, experiments, settings, start=start)
+        fit = fit_model(problem.model, experiments, settings, start=start, throw=False)
+        if not _is_found_without_noise(problem, fit, settings):
+            require_minimum(fit)
     except OutOfTimeError as error:
         if not isinstance(error.found, Fit):
             raise

@@ -34,7 +34,12 @@ from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.holdout import Split, holding_out_less, holding_out_measured
-from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
+from casid.estimation.simulation.fit import (
+    FitSettings,
+    fit_model,
+    resolved_under,
+    weighted_by_errors,
+)
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import (
     WrongSign,
@@ -168,7 +173,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         split.fitted, known_noise=problem.noise, solver=settings.fit.solver, seed=settings.fit.seed
     )
     say("estimate the noise")
-    start = weighing.weigh(problem.model, fit)
+    fit, start = _weighed(problem, split, settings, weighing, fit)
     errors = partial(std_error, start.fit)
     undecided = why_undecided(fit, start, errors, split.whole)
     if not undecided and not fit.solution.is_converged:
@@ -192,6 +197,19 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         ),
         levels=gaps,
     )
+
+
+def _weighed(
+    problem: Problem, split: Split, settings: DiagnosisSettings, weighing: Weighing, fit: Fit
+) -> tuple[Fit, Weighted]:
+    """The fit under its noise, and the fit itself, with steps fine enough for both."""
+    start = weighing.weigh(problem.model, fit)
+    fine = resolved_under(fit.criterion, start.fit.x, start.noise.whiten)
+    if fine is fit.criterion:
+        return fit, start
+    finer = replace(settings, fit=replace(settings.fit, substeps=fine.substeps))
+    fit = _again(problem, split, finer, replace(fit, criterion=fine))
+    return fit, weighing.weigh(problem.model, fit)
 
 
 def _cleaned(

@@ -15,6 +15,12 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
+from casid.diagnosis.evidence.fit_points import (
+    is_at_bound,
+    moved,
+    use_samples_of,
+    with_states_anew,
+)
 from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
 from casid.diagnosis.solvers import NEAR
@@ -26,6 +32,7 @@ from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.left_by_noise import share_that_is_there
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
+from casid.estimation.errors_in_variables.total_least_squares import total_least_squares
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import error_over_noise, estimate_noise
@@ -34,7 +41,6 @@ from casid.estimation.noise_model import NoiseModel
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.unknowns import Variable
 from casid.estimation.varying_response import with_varying_response
 from casid.model.model import Model
 
@@ -105,6 +111,8 @@ class Weighing:
         fit = found.fit
         if self.takes_disturbances and found.full.spectra:
             return self._comparable(self.likeliest(model, found))
+        if (far := self._far_root(found)) is not None:
+            return self._beside(far, far)
         if found.noise_absorbs_misfit:
             at = self._without_bias(found)
             if at is None or at.noise_absorbs_misfit:
@@ -118,15 +126,29 @@ class Weighing:
         if self.takes_disturbances and found.full.spectra:
             # Far from the truth a residual may show no disturbance, which it shows next to it.
             return self._comparable(self.likeliest(model, found))
-        at = self._without_bias(found) or found
-        criterion = self.criterion(model, at.full, found.fit.values, fit.criterion)
+        return self._beside(found, self._without_bias(found))
+
+    def _beside(self, found: Weighted, root: Weighted | None) -> Weighted:
+        """The minimum next to what was found, under the noise at the root if there is one."""
+        at = root or found
+        criterion = self.criterion(at.model, at.full, found.fit.values, found.criterion)
         return replace(
             at,
             fit=self.minimum(criterion),
             noise=at.full,
             noise_absorbs_misfit=False,
-            unbiased=None if at is found else at.fit,
+            unbiased=None if root is None else root.fit,
         )
+
+    def _far_root(self, found: Weighted) -> Weighted | None:
+        """The root without bias, where noise on the inputs led least squares far away from it."""
+        c = found.criterion
+        declared = np.array([v.start for v in c.variables])
+        x = total_least_squares(c, [found.fit.x, declared], found.full.quiet(found.input_sd))
+        if x is None:
+            return None
+        root = self._without_bias(self.estimated(moved(found.fit, c, x)))
+        return None if root is None or root.noise_absorbs_misfit else root
 
     def _comparable(self, best: Weighted) -> Weighted:
         """The likeliest point, and the minimum there that whatever is compared is fitted to."""
@@ -153,7 +175,7 @@ class Weighing:
         x = within_bounds(criterion, np.array([values[name] for name in criterion.names]))
         if not np.isfinite(criterion.evaluate(x).value):
             return bare
-        at = replace(bare, fit=_moved(bare.fit, criterion, x), full=extended.full, unbiased=None)
+        at = replace(bare, fit=moved(bare.fit, criterion, x), full=extended.full, unbiased=None)
         found = self._comparable(self._in_turn(bare.model, at))
         return min(bare, found, key=minus_log_likelihood)
 
@@ -199,14 +221,14 @@ class Weighing:
         for i, v in enumerate(c.variables):
             if v.source in c.model.parameters:
                 declared[i] = np.clip(c.model.parameters[v.source].start, v.lower, v.upper)
-                at_bounds[i] = declared[i] if _is_at_bound(v, float(x[i])) else x[i]
+                at_bounds[i] = declared[i] if is_at_bound(v, float(x[i])) else x[i]
         with contextlib.suppress(CasidError):  # it diverges from there
             if not np.array_equal(at_bounds, x):
-                yield from self._shapes(self.estimated(_moved(found.fit, c, at_bounds)))
+                yield from self._shapes(self.estimated(moved(found.fit, c, at_bounds)))
         with contextlib.suppress(CasidError):
             if error_over_noise(found.fit, found.full) > RESTARTS.far:
                 # The states that the record began in were those of where it went astray.
-                yield self.estimated(_moved(found.fit, c, _with_states_anew(c, declared)))
+                yield self.estimated(moved(found.fit, c, with_states_anew(c, declared)))
 
     def _shapes(self, found: Weighted) -> Iterator[Weighted]:
         """The same, and with forces of first order alone where one of them is not."""
@@ -220,7 +242,7 @@ class Weighing:
         near: Mapping[str, DisturbanceSpectrum] = {}
         for _ in range(PREWHITENING.rounds):
             x = likeliest(at.criterion, at.fit.x, at.full, self.known_noise)
-            at = self.estimated(_moved(at.fit, at.criterion, x), near=near)
+            at = self.estimated(moved(at.fit, at.criterion, x), near=near)
             near = at.full.spectra
             found = self._whitened(model, at)
             if not _at_point(found) < _at_point(best) - PREWHITENING.likelier:
@@ -232,8 +254,8 @@ class Weighing:
         """The same under its own noise; initial states, which a taper hides, are found anew."""
         criterion = self.criterion(model, at.full, at.fit.values, at.criterion)
         use_samples_of(criterion, at.criterion)
-        x = _with_states_anew(criterion, at.fit.x)
-        return replace(at, fit=_moved(at.fit, criterion, x), noise=at.full)
+        x = with_states_anew(criterion, at.fit.x)
+        return replace(at, fit=moved(at.fit, criterion, x), noise=at.full)
 
     def _without_bias(self, found: Weighted) -> Weighted | None:
         """The root of (2) in `scores`, with the noise found there; None if none is near.
@@ -251,11 +273,11 @@ class Weighing:
             criterion = self.criterion(at.model, noise, at.fit.values, found.criterion)
             use_samples_of(criterion, found.criterion)
             x, length = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
-            moved = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
+            there = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
             before, after = (criterion.evaluate(point).value for point in (criterion.start, x))
             if not after * float(np.finfo(float).eps) < before:
                 return None  # it diverges: next to its errors none of the records' are left
-            at = self.estimated(moved)
+            at = self.estimated(there)
             if length < PREWHITENING.converged:
                 return at
             first = length if k == 0 else first
@@ -424,57 +446,6 @@ def _at_point(at: Weighted, counted: SimulationError | None = None) -> float:
             value += 0.5 * sum(int(mask.sum()) for mask in left_out)
     logs = sum(noise.log_determinant(e, d.N) for e, d in enumerate(data))
     return value + 0.5 * logs
-
-
-def _is_at_bound(v: Variable, value: float) -> bool:
-    """True at a bound, or as near as a solver that stays inside comes."""
-    near = PREWHITENING.near_bound * max(abs(value), v.scale)
-    return bool(not v.lower + near < value < v.upper - near)
-
-
-def _with_states_anew(criterion: SimulationError, x: Array) -> Array:
-    """The variables with initial states one Gauss-Newton step nearer the least error, if it is."""
-    states = criterion.model.states
-    initial = [i for i, v in enumerate(criterion.variables) if v.source in states]
-    if not initial:
-        return x
-    here = criterion.evaluate(x)
-    matrix = here.hessian[np.ix_(initial, initial)]
-    if not np.all(np.isfinite([here.value, *here.gradient[initial], *matrix.ravel()])):
-        return x  # it diverges there
-    there = x.copy()
-    there[initial] -= np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
-    there = within_bounds(criterion, there)
-    return there if criterion.evaluate(there).value < here.value else x
-
-
-def _moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:
-    """A fit at another point, or of another criterion."""
-    there = criterion.evaluate(x)
-    sides = {
-        side: tuple(
-            v.name for v, a in zip(criterion.variables, x, strict=True) if a == getattr(v, side)
-        )
-        for side in ("lower", "upper")
-    }
-    solution = replace(
-        fit.solution,
-        x=x,
-        value=there.value,
-        hessian=there.hessian,
-        at_lower=sides["lower"],
-        at_upper=sides["upper"],
-    )
-    return replace(fit, criterion=criterion, solution=solution)
-
-
-def use_samples_of(criterion: SimulationError, other: SimulationError) -> None:
-    """Count the samples that another criterion of the same records counts; a delay leaves out some.
-
-    To be called before `criterion` is simulated: it keeps the residuals of its last simulation.
-    """
-    for mine, its in zip(criterion.data, other.data, strict=True):
-        mine.used[:] = its.used
 
 
 def not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:

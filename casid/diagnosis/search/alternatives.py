@@ -18,7 +18,8 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.prewhitening import Weighted, use_samples_of
+from casid.diagnosis.evidence.fit_points import use_samples_of
+from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.candidates import Candidate, Rival, name_of
 from casid.diagnosis.search.joint_refit import Refitting

@@ -15,10 +15,10 @@ import numpy as np
 
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.divergence import diverging_size
+from casid.diagnosis.evidence.fit_points import use_samples_of
 from casid.diagnosis.evidence.prewhitening import (
     Weighing,
     Weighted,
-    use_samples_of,
 )
 from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of

@@ -35,10 +35,12 @@ from typing import Protocol
 import numpy as np
 from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.filled_noise import filled_spectrum
+from casid.estimation.noise_response import is_response_constant
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -75,6 +77,7 @@ class RecordColumns:
     residual: Array  # (N, ny)
     tangent: Array  # (N, ny, n)
     noise: Sequence[NoiseColumns]
+    lines: int = 1  # over how many frequencies K is a mean
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,7 +148,8 @@ def columns_of(
             turned *= weights[:, None]
             noise.append(NoiseColumns(name, input_sd[name], moved, turned))
         tangent = at.jacobian * weights[:, None]
-        out.append(RecordColumns(at.residual * weights, tangent, noise))
+        lines = 1 if is_response_constant(criterion, e) else REMOVAL.lines
+        out.append(RecordColumns(at.residual * weights, tangent, noise, lines))
     return out
 
 
@@ -185,45 +189,48 @@ def equations(
             d = seen[:, :, 1:].reshape(-1, n)
             added += d.T @ d
             bias -= d.T @ seen[:, :, 0].ravel()
-        score += _carried(turned, passed, r).reshape(-1, n).T @ r.ravel()
-        variance -= _shared(turned, passed, whitening, (e, *r.shape))
+        K = _K(turned, passed, part.lines)
+        score += _carried(K, r).reshape(-1, n).T @ r.ravel()
+        variance -= _shared(K, whitening, (e, *r.shape))
     return Equations(score, matrix, added, matrix + variance, bias)
 
 
-def _carried(turned: Sequence[ComplexArray], passed: Sequence[ComplexArray], r: Array) -> Array:
-    """sum_w K r (N, ny, n) of whitened columns r (N, ny).
+def _K(turned: Sequence[ComplexArray], passed: Sequence[ComplexArray], lines: int) -> ComplexArray:
+    """K (F, ny, n, ny), of dG w to each unknown from G w.
 
     Parameters
     ----------
     turned, passed : spectra (F, ny, n) and (F, ny) of dG w and G w, one an input.
     """
+    parts = [
+        d[:, :, :, None] * m.conj()[:, None, None, :] for d, m in zip(turned, passed, strict=True)
+    ]
+    K = np.sum(parts, axis=0)
+    if lines > 1:
+        K = uniform_filter1d(K, min(lines, len(K)), axis=0, mode="mirror")
+    return np.asarray(K)
+
+
+def _carried(K: ComplexArray, r: Array) -> Array:
+    """sum_w K r (N, ny, n) of whitened columns r (N, ny)."""
     spectrum = rfft(r, axis=0)
-    total = sum(
-        d * np.einsum("fa,fa->f", m.conj(), spectrum)[:, None, None]
-        for d, m in zip(turned, passed, strict=True)
-    )
-    return np.asarray(irfft(total, len(r), axis=0))
+    return np.asarray(irfft(np.einsum("fink,fk->fin", K, spectrum), len(r), axis=0))
 
 
-def _shared(
-    turned: Sequence[ComplexArray],
-    passed: Sequence[ComplexArray],
-    whitening: Whitening,
-    of: tuple[int, int, int],
-) -> Array:
+def _shared(K: ComplexArray, whitening: Whitening, of: tuple[int, int, int]) -> Array:
     """sum_w |K|^2 (n, n) among the samples that there are, of an experiment of (N, ny).
 
     The trace of K'K from columns of noise of constant periodogram, one an output: without sampling
     error where no sample is missing.
     """
     experiment, N, ny = of
-    n = turned[0].shape[2]
+    n = K.shape[2]
     out = np.zeros((n, n))
     for a in range(ny):
         e = np.zeros((N, ny, 1))
         e[:, a, 0] = flat_noise(N, np.random.default_rng((experiment, a)))
         e = whitening.seen(e, experiment)
-        rows = whitening.seen(_carried(turned, passed, e[:, :, 0]), experiment).reshape(-1, n)
+        rows = whitening.seen(_carried(K, e[:, :, 0]), experiment).reshape(-1, n)
         out += rows.T @ rows
     return out
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.covariance import sandwich
 from casid.estimation.errors_in_variables.equations import Equations, columns_of, equations, step
 from casid.estimation.errors_in_variables.input_noise import (
@@ -17,9 +17,11 @@ from casid.estimation.errors_in_variables.input_noise import (
     possible_bias,
 )
 from casid.estimation.errors_in_variables.left_by_noise import left_by_noise, squares
-from casid.estimation.errors_in_variables.thresholds import REMOVAL, VARIANCE_SLOPE
+from casid.estimation.errors_in_variables.thresholds import FAR_ROOT, REMOVAL, VARIANCE_SLOPE
+from casid.estimation.errors_in_variables.total_least_squares import total_least_squares
 from casid.estimation.generalised_least_squares import SpectralWeights, weighted_by_spectrum
 from casid.estimation.noise_model import NoiseModel
+from casid.estimation.simulation.fit import resolved_under
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError, Whitener
 
@@ -36,8 +38,7 @@ class Corrected:
     bias : unknown -> what noise on the inputs gives to the fit as it was, in standard errors.
     why_not : why the bias is still in the fit; an empty text where it is not, or is negligible.
     whiten : what the covariance rests on, by the noise that was found.
-    output_sd : (ny,) standard deviation of the noise of the outputs; None where the fit is as it
-        was.
+    noise : that was found at the root; None where the fit is as it was.
     reference : recorded signal of which instruments were made in the place of least squares.
     apart : with instruments, the parameter that least squares misses most, and by how many standard
         errors.
@@ -53,7 +54,7 @@ class Corrected:
     bias: Mapping[str, float] | None = None
     why_not: str = ""
     whiten: Whitener | None = None
-    output_sd: Array | None = None
+    noise: NoiseModel | None = None
     reference: str = ""
     apart: tuple[str, float] = ("", 0.0)
     refused: str = ""
@@ -141,23 +142,25 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
     if float(np.abs(bias).max(initial=0.0)) < REMOVAL.negligible:
         if added_variance(fit, found.noise.quiet(found.most), free) < REMOVAL.adds:
             return at
-    root = _Root(fit, known, free, found, seed)
+    root = _resolved(_root(fit, known, free, found, seed), fit)
     why_not = root.why_not or _worse(fit, root)
     if why_not:
         return replace(at, why_not=why_not)
+    size, most = solution.scaled_gradient, root.scaled_score
     solution = replace(
         solution,
         x=root.x,
-        at_lower=tuple(dict.fromkeys((*solution.at_lower, *root.at_bound(root.lower)))),
-        at_upper=tuple(dict.fromkeys((*solution.at_upper, *root.at_bound(root.upper)))),
+        scaled_gradient=size if solution.is_converged else most,
+        at_lower=root.held(solution.at_lower, root.lower),
+        at_upper=root.held(solution.at_upper, root.upper),
     )
     return Corrected(
-        replace(fit, solution=solution),
+        replace(fit, criterion=root.criterion, solution=solution),
         root.covariance(),
         root.found.sd,
         named,
         whiten=root.whitened,
-        output_sd=root.found.noise.output_sd,
+        noise=root.found.noise,
     )
 
 
@@ -180,6 +183,33 @@ def with_spectral_weights(found: Corrected) -> Corrected:
         whiten=weights.fit.criterion.whiten,
         weights=weights,
     )
+
+
+def _root(fit: Fit, known: Mapping[str, float], free: Array, found: InputNoise, seed: int) -> _Root:
+    """The root near the fit, or near total least squares where that is far better elsewhere."""
+    criterion = fit.criterion
+    declared = [fit.begun.get(v.name, v.start) for v in criterion.variables]
+    starts = [fit.x, np.array(declared)]
+    x = total_least_squares(criterion, starts, found.noise.quiet(found.sd))
+    if x is not None:
+        there = replace(fit, solution=replace(fit.solution, x=x))
+        lower, upper = ([getattr(v, s) for v in criterion.variables] for s in ("lower", "upper"))
+        is_free = (x > lower) & (x < upper)
+        root = _Root(there, known, is_free, input_noise(criterion, x, known), seed, True)
+        if not root.why_not:
+            return root
+    return _Root(fit, known, free, found, seed)
+
+
+def _resolved(root: _Root, fit: Fit) -> _Root:
+    """The same root with integration steps as fine as its weights need."""
+    if root.why_not:
+        return root
+    fine = resolved_under(root.criterion, root.x, root.found.noise.whiten)
+    if fine is root.criterion:
+        return root
+    there = replace(fit, criterion=fine, solution=replace(fit.solution, x=root.x))
+    return _Root(there, root.known, root.free, root.found, root.seed, is_cautious=True)
 
 
 _NO_ROOT = "the equations without it have no root near the fit"
@@ -238,11 +268,53 @@ def _left_by_noise(root: _Root) -> Array:
 _OVERFLOWS = "the simulation overflows beside the fit"
 
 
+class _Steps:
+    """How far the search for a root goes along each step.
+
+    Next to the root the whole way. Farther off, where noise is most of the residual, steps may lead
+    to and fro: a cautious search goes as far as the step before it says, and goes back half the way
+    where the next step would be far longer.
+    """
+
+    def __init__(self, is_cautious: bool) -> None:
+        self.is_cautious = is_cautious
+        self.most = FAR_ROOT.evaluations if is_cautious else REMOVAL.steps
+        self.converged = FAR_ROOT.closely if is_cautious else REMOVAL.converged
+        self.part = 1.0
+        self.last: tuple[Array, BoolArray, Array] | None = None
+
+    def end(self, x: Array, free: BoolArray, move: Array, matrix: Array) -> tuple[Array, BoolArray]:
+        """Where a step (n,) from `x` is to end, and what was free where it began.
+
+        Parameters
+        ----------
+        matrix : (n, n) in which a step has its length in standard errors.
+        """
+        if self.is_cautious and self.last is not None:
+            begun, its_free, way = self.last
+            before, now, along = (
+                float(a @ matrix @ b) for a, b in ((way, way), (move, move), (way, move))
+            )
+            if now > FAR_ROOT.longer**2 * before and self.part > FAR_ROOT.least_part:
+                self.part *= 0.5
+                return begun + self.part * way, its_free
+            left = along / max(before, TINY)  # of the step before, 1 - part times its slope
+            self.part = float(np.clip(self.part / max(1 - left, TINY), FAR_ROOT.least_part, 1.0))
+        self.last = x, free, move
+        return x + self.part * move, free
+
+
 class _Root:
     """The root of the equations, sought from a fit, with the noise found anew at every step."""
 
     def __init__(
-        self, fit: Fit, known: Mapping[str, float], free: Array, found: InputNoise, seed: int
+        self,
+        fit: Fit,
+        known: Mapping[str, float],
+        free: Array,
+        found: InputNoise,
+        seed: int,
+        is_cautious: bool = False,
     ) -> None:
         self.criterion, self.known, self.seed = fit.criterion, known, seed
         self.x, self.free = fit.x.copy(), free.copy()
@@ -253,12 +325,12 @@ class _Root:
         self.beside = (1 - VARIANCE_SLOPE.difference, 1 + VARIANCE_SLOPE.difference)
         self.found = found
         self.at: Equations
-        self.why_not = self._sought()
+        self.why_not = self._sought(is_cautious)
 
-    def _sought(self) -> str:
+    def _sought(self, is_cautious: bool) -> str:
         """Go to the root; a reason where there is none."""
-        share, at_fit = 0.0, self.found
-        for k in range(REMOVAL.steps):
+        share, at_fit, steps = 0.0, self.found, _Steps(is_cautious)
+        for k in range(steps.most):
             if k > 0 and not self._is_finite():
                 return _OVERFLOWS
             if k > 0:
@@ -270,13 +342,13 @@ class _Root:
             if not all(np.all(np.isfinite(part)) for part in parts):
                 return _OVERFLOWS
             move, length, share = step(self.at, self.free, REMOVAL.least_information)
-            if length < REMOVAL.converged:
+            if length < steps.converged:
                 break
             move *= min(1.0, REMOVAL.longest_step / length)
-            new = np.clip(self.x + move, self.lower, self.upper)
+            there, free = steps.end(self.x, self.free, move, self.at.matrix)
+            self.x = np.clip(there, self.lower, self.upper)
             # What a bound holds back stays there, and the others go on without it.
-            self.free &= new == self.x + move
-            self.x = new
+            self.free = free & (self.x == there)
         else:
             return _misfit(self.criterion, at_fit) or _NO_ROOT
         if share < REMOVAL.least_information:
@@ -317,9 +389,17 @@ class _Root:
         over = sum(float(np.sum(w**2)) for w in white) / size - 1.0
         return bool(abs(over) <= REMOVAL.left_spreads * np.sqrt(2.0 / size))
 
-    def at_bound(self, bound: Array) -> tuple[str, ...]:
-        """Names of the variables at one of their bounds (n,)."""
-        return tuple(self.criterion.names[i] for i in np.flatnonzero(self.x == bound))
+    @property
+    def scaled_score(self) -> float:
+        """What `Solution.scaled_gradient` is of a minimum."""
+        score, size = self.at.score[self.free], np.diag(self.at.matrix)[self.free]
+        value = 0.5 * self.criterion.n_samples * len(self.criterion.outputs)
+        return float(np.max(np.abs(score) / np.sqrt(np.maximum(size * value, TINY)), initial=0.0))
+
+    def held(self, before: Sequence[str], bound: Array) -> tuple[str, ...]:
+        """Names of the variables at one of their bounds (n,), or held there `before` and here."""
+        is_held = (self.x == bound) | (np.isin(self.criterion.names, before) & ~self.free)
+        return tuple(self.criterion.names[i] for i in np.flatnonzero(is_held))
 
     def covariance(self) -> Array:
         """(n, n) of the root, by the slope and the variance of the equations."""

@@ -8,6 +8,7 @@ from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _TEST = "tests/estimation/errors_in_variables/test_input_noise.py"
+_FAR = "tests/estimation/errors_in_variables/test_total_least_squares.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,12 @@ class Removal:
         "tests/diagnosis/evidence/test_score_bias.py",
         "Stein, Ann. Statist. 9 (1981) 1135-1151, exact as the share goes to zero; the draw's own "
         "variance grows as its inverse",
+    )
+    lines: int = _is(
+        25,
+        "frequencies over which the noise's part in the equations is averaged, if the response "
+        "varies: of the scatter of one draw a twenty-fifth is left",
+        _FAR,
     )
     steps: int = _is(20, "Gauss-Newton steps towards the root", _TEST)
     longest_step: float = _is(
@@ -66,6 +73,34 @@ class Removal:
 
 
 @dataclass(frozen=True, slots=True)
+class FarRoot:
+    """The search for a root that is far from least squares."""
+
+    nearer: float = _is(
+        10.0,
+        "units of log-likelihood by which total least squares is better elsewhere, beyond which "
+        "the root is sought from there: by chance the root itself lies a few from it",
+        _FAR,
+    )
+    of_noise: float = _is(
+        1.3,
+        "squares of what total least squares leaves over those that noise of the sizes found would "
+        "leave, beyond which its minimum is a false one",
+        _FAR,
+    )
+    searches: int = _is(3, "of its minimum, each from where the one before ended", _FAR)
+    of_states: int = _is(2, "steps to the initial states there, which are nearly linear", _FAR)
+    evaluations: int = _is(40, "of the equations at most, if steps are shortened", _FAR)
+    closely: float = _is(
+        2e-4,
+        "standard errors: the length of its last step, as least squares may have no minimum",
+        _FAR,
+    )
+    longer: float = _is(1.25, "times the step before, beyond which that one is halved", _FAR)
+    least_part: float = _is(0.1, "of a step, below which it is not shortened further", _FAR)
+
+
+@dataclass(frozen=True, slots=True)
 class VarianceSlope:
     """The derivative of the equations by the variance of a noise."""
 
@@ -79,9 +114,10 @@ class VarianceSlope:
 
 
 REMOVAL = Removal()
+FAR_ROOT = FarRoot()
 VARIANCE_SLOPE = VarianceSlope()
 
-GROUPS = (REMOVAL, VARIANCE_SLOPE)
+GROUPS = (REMOVAL, FAR_ROOT, VARIANCE_SLOPE)
 
 TABLE = entries(*GROUPS)
 """All of them."""

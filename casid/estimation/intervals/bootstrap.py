@@ -111,7 +111,7 @@ class _Draw:
     def __init__(self, found: Corrected) -> None:
         self.criterion, self.x = found.fit.criterion, found.fit.x
         self.input_sd = dict(found.input_sd or {}) if found.is_removed else {}
-        self.output_sd = found.output_sd if found.is_removed else None
+        self.output_sd = found.noise.output_sd if found.noise is not None else None
         n = range(len(self.criterion.data))
         self.clean = [self.criterion.simulated(self.x, e) for e in n]
         free = found.fit.solution.is_free

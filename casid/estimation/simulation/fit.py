@@ -20,7 +20,7 @@ from casid.estimation.simulation.minimization import (
     require_minimum,
 )
 from casid.estimation.simulation.short_horizons import begun_at, fit_of_short_horizons
-from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.simulation_error import SimulationError, Whitener
 from casid.estimation.simulation.thresholds import ERROR_WEIGHTS, STEPS
 from casid.model.model import Model
 
@@ -273,7 +273,22 @@ def _steps_are_too_long(c: SimulationError, fit: Fit) -> bool:
     return not np.isfinite(_value(c, within_bounds(c, fit.x + inside)))
 
 
-def _steps_matter(c: SimulationError, x: Array, share: float) -> bool:
+def resolved_under(criterion: SimulationError, x: Array, whiten: Whitener) -> SimulationError:
+    """The criterion with steps as fine as residuals that are whitened need at `x` (n,).
+
+    Steps that are fine enough beside a large residual of noise on inputs may not be so where little
+    of it is: a resonance that least squares hardly sees determines parameters under its weights.
+    The same object where its steps are.
+    """
+    start = dict(zip(criterion.names, x.tolist(), strict=True))
+    while _steps_matter(criterion, x, STEPS.at_end, whiten):
+        criterion = _from(criterion, start, finer=2)
+    return criterion
+
+
+def _steps_matter(
+    c: SimulationError, x: Array, share: float, whiten: Whitener | None = None
+) -> bool:
     """True if halving the step moves the simulation by over a share of the residual."""
     if c.substeps >= STEPS.most:
         return False
@@ -282,6 +297,10 @@ def _steps_matter(c: SimulationError, x: Array, share: float) -> bool:
     with np.errstate(all="ignore"):
         for e, d in enumerate(c.data):
             a, b = c.simulate(x, e)[0], fine.simulate(x, e)[0]
-            moved += float(np.sum((d.in_sizes(a - b) * d.used * c.weights) ** 2))
-            left += float(np.sum((d.errors(a) * c.weights) ** 2))
+            parts = np.stack([d.in_sizes(a - b) * d.used, d.errors(a)], axis=2)
+            parts *= c.weights[None, :, None]
+            if whiten is not None and np.all(np.isfinite(parts)):
+                parts = whiten(parts, e)
+            moved += float(np.sum(parts[:, :, 0] ** 2))
+            left += float(np.sum(parts[:, :, 1] ** 2))
     return bool(np.isfinite(moved)) and moved > share**2 * left + 1e-16 * c.n_samples

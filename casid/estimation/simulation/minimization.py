@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -16,7 +16,7 @@ from casid.estimation.local_rank import describe_null, rank_of
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
 from casid.estimation.nlp.solver import Solver, descending, quasi_newton
-from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.simulation_error import SimulationError, Whitener
 from casid.model.model import Model
 from casid.time_limit import require_time, seconds_left
 
@@ -66,6 +66,25 @@ def widened(fit: Fit, model: Model) -> SimulationError:
     for d, own in zip(wide.data, base.data, strict=True):
         d.used[:] &= own.used
     return wide
+
+
+def whitened(fit: Fit, whiten: Whitener) -> Fit:
+    """A fit as a point of its criterion under other noise, with the matrix of that."""
+    base = fit.criterion
+    criterion = SimulationError(
+        base.model,
+        base.experiments,
+        own=base.own,
+        weights=base.weights,
+        whiten=whiten,
+        substeps=base.substeps,
+        start=fit.values,
+    )
+    for d, own in zip(criterion.data, base.data, strict=True):
+        d.used[:] &= own.used
+    at = criterion.evaluate(fit.x)
+    solution = replace(fit.solution, value=at.value, hessian=at.hessian)
+    return replace(fit, criterion=criterion, solution=solution)
 
 
 Constraint = Callable[[Mapping[str, Any]], Any]
