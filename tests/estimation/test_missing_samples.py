@@ -230,9 +230,9 @@ def test_the_bias_of_input_noise_is_removed_where_samples_are_missing():
     found = without_input_noise(fitted(40, "a fifth at random"), {})
     assert found.is_removed
     assert found.input_sd is not None
-    assert found.output_sd is not None
+    assert found.noise is not None
     # Of 4800 samples: sd of an sd 1 %; what the input gives shows in a few per cent of the band.
-    assert found.output_sd[0] == pytest.approx(OUTPUT, rel=0.05)
+    assert found.noise.output_sd[0] == pytest.approx(OUTPUT, rel=0.05)
     assert found.input_sd["accel"] == pytest.approx(INPUT, rel=0.3)
 
 

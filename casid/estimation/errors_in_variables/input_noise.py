@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from casid.arrays import TINY, Array, BoolArray, scaled_inverse
 from casid.estimation.absorbed_noise import absorbed
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
-from casid.estimation.errors_in_variables.thresholds import REMOVAL
+from casid.estimation.errors_in_variables.thresholds import FILLINGS, REMOVAL
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.missing_samples import unbroken
 from casid.estimation.noise import Seen, estimate_noise, with_rounding
@@ -182,9 +182,9 @@ class _Residuals:
         has_holes = any(unbroken(d.used) is None for d in self.criterion.data)
         if not has_holes:
             return self._of_few_sources()
-        found, fillings = self.before, REMOVAL.refillings
+        found, fillings = self.before, FILLINGS.again
         if found is None:
-            found, fillings = self._of_few_sources(), REMOVAL.fillings
+            found, fillings = self._of_few_sources(), FILLINGS.first
         rng = np.random.default_rng(0)
         for _ in range(fillings):
             self._fill(found, rng)

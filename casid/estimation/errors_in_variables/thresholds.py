@@ -66,10 +66,16 @@ class Removal:
         _TEST,
     )
     left_records: int = _is(20, "records of noise for their mean", _TEST)
-    fillings: int = _is(
+
+
+@dataclass(frozen=True, slots=True)
+class Fillings:
+    """How missing samples are drawn from the noise last found."""
+
+    first: int = _is(
         8, "draws of missing samples, after each of which the noise is found anew", _TEST
     )
-    refillings: int = _is(3, "the same, from the noise of the step before", _TEST)
+    again: int = _is(3, "the same, from the noise of the step before", _TEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,10 +120,11 @@ class VarianceSlope:
 
 
 REMOVAL = Removal()
+FILLINGS = Fillings()
 FAR_ROOT = FarRoot()
 VARIANCE_SLOPE = VarianceSlope()
 
-GROUPS = (REMOVAL, FAR_ROOT, VARIANCE_SLOPE)
+GROUPS = (REMOVAL, FILLINGS, FAR_ROOT, VARIANCE_SLOPE)
 
 TABLE = entries(*GROUPS)
 """All of them."""

@@ -11,11 +11,10 @@ import pytest
 from scipy.linalg import expm
 
 import casid
+from casid.diagnosis.evidence.fit_points import moved, with_states_anew
 from casid.diagnosis.evidence.prewhitening import (
     Weighing,
     Weighted,
-    _moved,
-    _with_states_anew,
     minus_log_likelihood,
 )
 from casid.diagnosis.evidence.robust_errors import std_error
@@ -96,7 +95,7 @@ def test_a_model_that_went_astray_is_begun_again_where_it_is_declared_to_start(s
     """
     model, base, best = satellite(), fitted(seed), beside_a_disturbance(seed)
     lost = {**base.values, "hub": 131.0, "panel": 1.5, "k": 125.0, "c": 1.0, **states}
-    astray = _moved(base, base.criterion, np.array([lost[n] for n in base.criterion.names]))
+    astray = moved(base, base.criterion, np.array([lost[n] for n in base.criterion.names]))
     weighing = Weighing(base.criterion.experiments)
     assert error_over_noise(astray, weighing.weigh(model, base).full) > RESTARTS.far
     found = weighing.with_disturbances().weigh(model, astray, rounds=1)
@@ -116,7 +115,7 @@ def test_a_bound_that_holds_least_squares_alone_hides_no_disturbance():
     def held(fit: Fit) -> Fit:
         at_bound = {"hub": 131.0, "panel": 1.0, "k": 125.0, "c": 1.0}
         values = {**fit.values, **at_bound}
-        return _moved(fit, fit.criterion, np.array([values[n] for n in fit.criterion.names]))
+        return moved(fit, fit.criterion, np.array([values[n] for n in fit.criterion.names]))
 
     def under(bare: Weighted) -> Weighted | None:
         search = SimpleNamespace(under_disturbance=lambda fit: bare)
@@ -135,5 +134,5 @@ def test_initial_states_stay_where_the_simulation_diverges(capfd: pytest.Capture
     x = np.array([values.get(v.name, v.start) for v in criterion.variables])
     with np.errstate(all="ignore"):
         assert not np.isfinite(criterion.evaluate(x).value)
-        assert np.array_equal(_with_states_anew(criterion, x), x)
+        assert np.array_equal(with_states_anew(criterion, x), x)
     assert capfd.readouterr().out == ""

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import casid
+from casid.estimation.errors_in_variables.equations import _K
 from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.errors_in_variables.total_least_squares import total_least_squares
@@ -92,3 +93,16 @@ def test_steps_are_as_fine_as_the_weights_of_the_noise_need() -> None:
     fine = found.fit.criterion
     assert fine.substeps > fit.criterion.substeps
     assert resolved_under(fine, found.fit.x, found.noise.whiten) is fine
+
+
+def test_a_mean_over_neighbouring_frequencies_keeps_what_noise_gives_to_the_equations() -> None:
+    """For a white residual that is the trace of K; the scatter of one draw is what it takes."""
+    rng = np.random.default_rng(1)
+    turned, passed = (
+        rng.standard_normal((200, 2, *more)) + 1j * rng.standard_normal((200, 2, *more))
+        for more in ((3,), ())
+    )
+    alone, mean = (_K([turned], [passed], lines) for lines in (1, 25))
+    trace = [np.einsum("fana->n", K).real for K in (alone, mean)]
+    assert trace[1] == pytest.approx(trace[0], rel=0.2)
+    assert np.sum(np.abs(mean) ** 2) == pytest.approx(np.sum(np.abs(alone) ** 2) / 25, rel=0.3)
