@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from casid.arrays import TINY, Array, BoolArray
+from casid.arrays import TINY, Array, BoolArray, basis_of
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.innovations import Innovations, innovations_of
 from casid.estimation.missing_samples import (
@@ -263,15 +263,33 @@ class NoiseModel:
         whitener = there or self._along(experiment, slice(0, samples))
         return whitener.log_determinant(samples) - 2 * float(count @ np.log(self.weights))
 
-    def minus_log_likelihood(self, residuals: Sequence[Array]) -> float:
-        """Of residuals (N, ny) of each experiment: infinite or no number where they diverge."""
+    def minus_log_likelihood(
+        self, residuals: Sequence[Array], beside: Sequence[Array] | None = None
+    ) -> float:
+        """Of residuals (N, ny) of each experiment: infinite or no number where they diverge.
+
+        Parameters
+        ----------
+        beside : columns (N, ny, m) of each experiment, of which a residual has whatever makes it
+            likeliest, as of initial states.
+        """
         value = 0.0
         with np.errstate(all="ignore"):
             for e, residual in enumerate(residuals):
                 used = self._used_of(e, len(residual))
-                there = residual if used is None else np.where(used, residual, 0.0)
-                white = self.whiten((there * self.weights)[:, :, None], e)
-                value += 0.5 * float(np.sum(white**2)) + 0.5 * self.log_determinant(e, len(there))
+                stack = residual[:, :, None]
+                if beside is not None:
+                    stack = np.concatenate([stack, beside[e]], axis=2)
+                there = stack if used is None else np.where(used[:, :, None], stack, 0.0)
+                white = self.whiten(there * self.weights[None, :, None], e)
+                r, columns = (
+                    white[:, :, 0].ravel(),
+                    white[:, :, 1:].reshape(white[:, :, 0].size, -1),
+                )
+                if columns.size and np.isfinite(white).all():
+                    basis = basis_of(columns)
+                    r = r - basis @ (basis.T @ r)
+                value += 0.5 * float(r @ r) + 0.5 * self.log_determinant(e, len(there))
         return value
 
     def _along(self, experiment: int, rows: slice) -> Innovations | VaryingInnovations:

@@ -65,6 +65,7 @@ def with_varying_response(
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in records]
     recorded = [steps_along(criterion, x, e) for e in records]
+    states = _tangents_of_states(criterion, x)
     found, least, path = noise, np.inf, recorded
     for alike in _alternatives(noise, criterion, x, known, residuals):
         steps = _followed(alike, recorded, criterion, x, residuals)
@@ -72,15 +73,16 @@ def with_varying_response(
         if steps is None or filters is None:
             continue
         varying = replace(alike, varying=filters)
-        misfit = _misfit(varying, criterion, residuals)
+        misfit = _misfit(varying, criterion, residuals, states)
         if misfit < least:
             found, least, path = varying, misfit, steps
     if not found.varying:
         return noise
     if not is_white(found, criterion.data, residuals):
         found = with_likeliest_variances(found, path, criterion, residuals)
-        least = _misfit(found, criterion, residuals)
-    return found if least < _misfit(noise, criterion, residuals) - LIKELIER else noise
+        least = _misfit(found, criterion, residuals, states)
+    average = _misfit(noise, criterion, residuals, states)
+    return found if least < average - LIKELIER else noise
 
 
 def _followed(
@@ -118,12 +120,29 @@ def _followed(
     return out
 
 
-def _misfit(noise: NoiseModel, criterion: SimulationError, residuals: Sequence[Array]) -> float:
+def _tangents_of_states(criterion: SimulationError, x: Array) -> list[Array]:
+    """(N, ny, m) of each experiment, by its initial states.
+
+    A fit far from the truth may begin in a state that it leaves at once: what is likelier for the
+    rest of a record is not judged by that.
+    """
+    names = criterion.model.states
+    states = [i for i, v in enumerate(criterion.variables) if v.source in names]
+    records = range(len(criterion.data))
+    return [criterion.simulated(x, e).jacobian[:, :, states] for e in records]
+
+
+def _misfit(
+    noise: NoiseModel,
+    criterion: SimulationError,
+    residuals: Sequence[Array],
+    states: Sequence[Array],
+) -> float:
     """Minus the log-likelihood; forces and their spectra are priced by Schwarz's criterion."""
     inputs = criterion.model.inputs
     forces = sum(sd > 0.0 and name not in inputs for name, sd in noise.source_sd.items())
     price = 0.5 * (forces + len(noise.spectra)) * float(np.log(criterion.n_samples))
-    return noise.minus_log_likelihood(residuals) + price
+    return noise.minus_log_likelihood(residuals, states) + price
 
 
 def _alternatives(

@@ -106,3 +106,16 @@ def test_a_mean_over_neighbouring_frequencies_keeps_what_noise_gives_to_the_equa
     trace = [np.einsum("fana->n", K).real for K in (alone, mean)]
     assert trace[1] == pytest.approx(trace[0], rel=0.2)
     assert np.sum(np.abs(mean) ** 2) == pytest.approx(np.sum(np.abs(alone) ** 2) / 25, rel=0.3)
+
+
+def test_a_state_that_a_record_begins_in_decides_nothing_about_its_noise() -> None:
+    """A likelihood with initial states beside it is the same from whichever of them."""
+    c = least_squares(0).criterion
+    x = least_squares(0).x
+    noise = input_noise(c, x, {}).noise
+    at = c.simulated(x, 0)
+    states = at.jacobian[:, :, [c.names.index(f"{n}(0)") for n in c.model.states]]
+    moved = at.residual + states @ np.array([3.0, -2.0, 0.5])
+    values = [noise.minus_log_likelihood([r], [states]) for r in (at.residual, moved)]
+    assert values[1] == pytest.approx(values[0], abs=1e-4)
+    assert noise.minus_log_likelihood([moved]) > noise.minus_log_likelihood([at.residual]) + 100.0
