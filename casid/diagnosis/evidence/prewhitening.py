@@ -147,7 +147,8 @@ class Weighing:
         x = total_least_squares(c, [found.fit.x, declared], found.full.quiet(found.input_sd))
         if x is None:
             return None
-        root = self._without_bias(self.estimated(moved(found.fit, c, x)))
+        near = self.estimated(moved(found.fit, c, x))
+        root = None if near.noise_absorbs_misfit else self._without_bias(near)
         return None if root is None or root.noise_absorbs_misfit else root
 
     def _comparable(self, best: Weighted) -> Weighted:
