@@ -77,7 +77,7 @@ def test_the_size_of_dry_friction_is_within_its_error_and_nothing_is_invented():
     assert size.std_error is not None
     assert size.value == pytest.approx(FRICTION, abs=4 * size.std_error)
     assert size.std_error < 0.02 * FRICTION
-    assert any("choose the sharpness" in line for line in lines)
+    assert any("choose how sharply" in line for line in lines)
     assert found.model is not None
     assert found.model.causes[0].constants["speed"] == pytest.approx(SHARP, rel=0.1)
 
