@@ -310,11 +310,6 @@ def _gains(at_points: Array) -> Array:
     return np.asarray(out)
 
 
-def is_response_constant(criterion: SimulationError, experiment: int) -> bool:
-    """Whether a model is linear and constant: it answers to noise alike all along a record."""
-    return _linearised(criterion, criterion.data[experiment].Ts)[3]
-
-
 def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
     """As `_linearisation`, built once."""
     found: tuple[Model, Explicit, Any, bool] = criterion.built(

@@ -40,7 +40,7 @@ from scipy.ndimage import uniform_filter1d
 from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.filled_noise import filled_spectrum
-from casid.estimation.noise_response import is_response_constant
+from casid.estimation.noise_response import may_vary
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -127,6 +127,7 @@ def columns_of(
     """
     inputs = list(criterion.model.inputs)
     weights, share = criterion.weights, REMOVAL.drawn_share
+    lines = REMOVAL.lines if may_vary(criterion) else 1
     out = []
     for e, d in enumerate(criterion.data):
         at = criterion.simulated(x, e)
@@ -148,7 +149,6 @@ def columns_of(
             turned *= weights[:, None]
             noise.append(NoiseColumns(name, input_sd[name], moved, turned))
         tangent = at.jacobian * weights[:, None]
-        lines = 1 if is_response_constant(criterion, e) else REMOVAL.lines
         out.append(RecordColumns(at.residual * weights, tangent, noise, lines))
     return out
 

@@ -53,26 +53,22 @@ class Fit:
 
 def widened(fit: Fit, model: Model) -> SimulationError:
     """The criterion of a fit for a model with more parameters, all of them at their start."""
-    base = fit.criterion
-    wide = SimulationError(
-        model,
-        base.experiments,
-        own=base.own,
-        weights=base.weights,
-        whiten=base.whiten,
-        substeps=base.substeps,
-        start=fit.values,
-    )
-    for d, own in zip(wide.data, base.data, strict=True):
-        d.used[:] &= own.used
-    return wide
+    return _restated(fit, model, fit.criterion.whiten)
 
 
 def whitened(fit: Fit, whiten: Whitener) -> Fit:
     """A fit as a point of its criterion under other noise, with the matrix of that."""
+    criterion = _restated(fit, fit.criterion.model, whiten)
+    at = criterion.evaluate(fit.x)
+    solution = replace(fit.solution, value=at.value, hessian=at.hessian)
+    return replace(fit, criterion=criterion, solution=solution)
+
+
+def _restated(fit: Fit, model: Model, whiten: Whitener | None) -> SimulationError:
+    """The criterion of a fit for another model or noise, which begins where the fit ended."""
     base = fit.criterion
     criterion = SimulationError(
-        base.model,
+        model,
         base.experiments,
         own=base.own,
         weights=base.weights,
@@ -82,9 +78,7 @@ def whitened(fit: Fit, whiten: Whitener) -> Fit:
     )
     for d, own in zip(criterion.data, base.data, strict=True):
         d.used[:] &= own.used
-    at = criterion.evaluate(fit.x)
-    solution = replace(fit.solution, value=at.value, hessian=at.hessian)
-    return replace(fit, criterion=criterion, solution=solution)
+    return criterion
 
 
 Constraint = Callable[[Mapping[str, Any]], Any]
