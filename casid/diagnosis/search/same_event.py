@@ -78,7 +78,7 @@ def _renamed(
     """The causes with another effect in the place of the last one, and their fit.
 
     Fitted beside it first, and then alone from there. None where it does not err clearly less.
-    Where it does, neither the last one nor what could not be told from that is a rival of it.
+    Otherwise the last cause is no rival of it, nor are those that could not be told from that one.
     """
     model, names = other.extended(fit.criterion.model)
     both = whole_fit(model, refine.split, refine.settings, refine.units, fit.values)
