@@ -328,6 +328,7 @@ def _result(
             ],
             "durations": [plain_fields(t) for t in tried],
             "hold": setup.excitation.hold,
+            "laws": search.question.laws,
             "versions": dict(versions()),
         },
     )
@@ -409,7 +410,8 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
         values = " and with ".join(
             ", ".join(f"{n} = {v:.4g}" for n, v in size.items()) for size in several
         )
-        notes.append(f"{hypothesis_words(name_of(effect))} is taken with {values} (SI).")
+        cause = hypothesis_words(name_of(effect), search.question.laws)
+        notes.append(f"{cause} is taken with {values} (SI).")
     if not best.iterations and search.starts != 0:
         notes.append(
             "The optimisation found no better input than the best standard input, which is the "

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite, sqrt
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from scipy.optimize import brentq
@@ -87,10 +88,19 @@ FITTED = ", fitted to "
 """Between a rival and the truth that its predicted record is fitted to."""
 
 
-def hypothesis_words(name: str) -> str:
-    """A hypothesis in words: `cubic_damping in force, fitted to ...`, as records are named."""
-    each = (part.partition(" in ") for part in name.split(FITTED))
-    return FITTED.join(effect_words(kind, at) if at else kind for kind, _, at in each)
+def hypothesis_words(name: str, laws: Mapping[str, str] = MappingProxyType({})) -> str:
+    """A hypothesis in words: `cubic_damping in force, fitted to ...`, as records are named.
+
+    Parameters
+    ----------
+    laws : cause, named likewise -> what it is called by beside its kind (`law_of`).
+    """
+    return FITTED.join(_cause_words(part, laws.get(part, "")) for part in name.split(FITTED))
+
+
+def _cause_words(name: str, law: str) -> str:
+    kind, _, at = name.partition(" in ")
+    return effect_words(kind, at, description=law) if at else kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +130,6 @@ class Outcome:
     alone: float = 0.0
     diagnosed: int | None = None
     size: float | None = None
-
-    @property
-    def words(self) -> str:
-        """The truth, with its size where there are several."""
-        truth = hypothesis_words(self.truth)
-        return truth if self.size is None else f"{truth} of {self.size:.3g}"
 
     @property
     def counted(self) -> int:
@@ -261,7 +265,7 @@ class DesignedExperiment(Presented, Saved):
     limits: tuple[LimitUse, ...]
     solver: SolverEvidence
     units: Mapping[str, str] = field(default_factory=dict)
-    details: Mapping[str, Any] = field(default_factory=dict)  # notes, hold, versions
+    details: Mapping[str, Any] = field(default_factory=dict)  # notes, hold, laws, versions
 
     @property
     def record(self) -> Record:
@@ -287,6 +291,10 @@ class DesignedExperiment(Presented, Saved):
     def notes(self) -> tuple[str, ...]:
         """What bears on the trust in it."""
         return tuple(self.details.get("notes", ()))
+
+    def words(self, name: str) -> str:
+        """A hypothesis, as `records` and `outcomes` name it, as an engineer says it."""
+        return hypothesis_words(name, self.details.get("laws", {}))
 
     @property
     def sentence(self) -> str:

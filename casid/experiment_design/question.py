@@ -31,6 +31,7 @@ from casid.experiment_design.standard_inputs import drawn, shrunk
 from casid.experiment_design.thresholds import DESIGN
 from casid.identifiability.requirement import require_identifiable
 from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.names import law_of
 from casid.model.model import Model
 
 MISFIT = Target("misfit", (-1,))
@@ -67,6 +68,12 @@ class Question:
     def every_size(self) -> tuple[tuple[Mapping[str, float], ...], ...]:
         """Of each cause all the sizes that it may have."""
         return tuple((s, *more) for s, more in zip(self.sizes, self.others, strict=True))
+
+    @property
+    def laws(self) -> dict[str, str]:
+        """Cause -> what it is called by beside its kind (`law_of`), of those that have it."""
+        laws = {name_of(e): law_of(e.kind, e.description) for e in self.effects}
+        return {name: law for name, law in laws.items() if law}
 
 
 def question_of(

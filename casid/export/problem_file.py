@@ -27,6 +27,7 @@ from casid.export.written_equations import (
 from casid.model.clock_signals import ClockSignal
 from casid.model.declarations import Input, Parameter, Stage, State
 from casid.model.effects.effect import KINDS
+from casid.model.effects.names import unsaid
 from casid.model.formula_text import PYTHON, number_text
 from casid.model.model import Model
 from casid.model.units import from_si
@@ -159,7 +160,8 @@ class _Writer:
             constants = "".join(
                 f", {name.replace('_', ' ')} {value:.6g}" for name, value in cause.constants.items()
             )
-            what = f" ({cause.description})" if cause.description else ""
+            description = unsaid(cause.words, cause.description)
+            what = f" ({description})" if description else ""
             text = f"{cause.words} [{cause.kind}]{what}: "
             text += f"{', '.join(cause.parameters)}{constants}"
             lines += textwrap.wrap(

@@ -21,13 +21,14 @@ from casid.diagnosis.settings import require_settings
 from casid.errors import DataError
 from casid.fleets.false_discoveries import SOURCES as RATE_SOURCES
 from casid.fleets.false_discoveries import false_alarms_per_month
-from casid.fleets.findings import Finding, findings_of
+from casid.fleets.findings import Finding, Key, findings_of
 from casid.fleets.fleet_settings import REFERENCES, FleetSettings, Reference, reference_of
 from casid.fleets.fleet_table import (
     CAUSES,
     PARAMETERS,
     cause_table,
     column,
+    laws_of,
     outcomes_of,
     parameter_table,
     record_table,
@@ -46,6 +47,7 @@ from casid.fleets.random_effects import ParameterEffects, Sample, parameter_effe
 from casid.fleets.record_files import RecordFile, files_of
 from casid.fleets.record_list import UNKNOWN, FleetRecord, Labels, RecordList
 from casid.fleets.thresholds import RECORD_BUDGET
+from casid.model.effects.names import effect_words
 from casid.model.units import to_si
 from casid.presentation import Presented, present, write
 from casid.whole_files import replacing
@@ -80,6 +82,7 @@ class Fleet(Presented):
     level : of false discoveries.
     new : records that this call has done; the others were there.
     is_dated : times are seconds since 1970-01-01, else numbers.
+    laws : cause -> what it is called by beside its kind: a constant voltage that opposes i.
     """
 
     problem: str
@@ -94,6 +97,7 @@ class Fleet(Presented):
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     not_done: int = 0
+    laws: Mapping[Key, str] = field(default_factory=dict)
     SOURCES: ClassVar[tuple[str, ...]] = (*RATE_SOURCES, *EFFECT_SOURCES)
 
     @property
@@ -145,6 +149,10 @@ class Fleet(Presented):
     def searched(self) -> int:
         """Records that had the full search."""
         return int((self.records["stage"] == "searched").sum())
+
+    def words(self, kind: str, where: str) -> str:
+        """A cause as an engineer says it: dry friction, or the voltage that has its law."""
+        return effect_words(kind, where, description=self.laws.get((kind, where), ""))
 
     def time_text(self, when: float) -> str:
         """A time as a date, or as the number that it is."""
@@ -417,6 +425,7 @@ class _Run:
             records=table,
             causes=causes,
             findings=findings_of(outcomes_of(table)),
+            laws=laws_of(table),
             effects=tuple(_effects(parameters, YEAR if is_dated else 1.0)),
             level=level,
             new=new,

@@ -15,6 +15,7 @@ from casid.fleets.false_discoveries import (
     lord,
 )
 from casid.fleets.findings import Key, Outcome
+from casid.model.effects.names import law_of
 
 CAUSES, PARAMETERS = "causes.parquet", "parameters.parquet"
 """Their files in the folder of a fleet."""
@@ -82,7 +83,7 @@ def cause_table(table: Any) -> Any:
         }
         causes = json.loads(entry["causes"] or "[]") or [{}]
         for cause in causes:
-            rivals = ", ".join(f"{kind} in {where}" for kind, where in cause.get("rivals", ()))
+            rivals = ", ".join(f"{kind} in {where}" for kind, where, *_ in cause.get("rivals", ()))
             rows.append(
                 common
                 | {
@@ -128,7 +129,7 @@ def outcomes_of(table: Any) -> dict[str, list[Outcome]]:
         if entry["discovered"]:
             for c in json.loads(entry["causes"] or "[]"):
                 key = (c["kind"], c["where"])
-                causes[key] = frozenset((k, w) for k, w in c["rivals"])
+                causes[key] = frozenset((k, w) for k, w, *_ in c["rivals"])
                 sizes[key] = (_number(c["size"]), _number(c["std_error"]))
                 units[key] = c["unit"]
         found.setdefault(entry["asset"], []).append(
@@ -142,6 +143,18 @@ def outcomes_of(table: Any) -> dict[str, list[Outcome]]:
                 units,
             )
         )
+    return found
+
+
+def laws_of(table: Any) -> dict[Key, str]:
+    """Cause -> what it is called by beside its kind (`law_of`), where a record says it."""
+    found: dict[Key, str] = {}
+    for text in table["causes"]:
+        for cause in json.loads(text or "[]"):
+            own = cause["kind"], cause["where"], cause.get("description", "")
+            for kind, where, *description in (own, *cause["rivals"]):
+                if law := law_of(kind, "".join(description)):
+                    found.setdefault((kind, where), law)
     return found
 
 

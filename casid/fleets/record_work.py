@@ -222,6 +222,6 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "std_error": None if size is None else size.std_error,
         "unit": "" if size is None else size.unit,
         "parameters": [[p.name, p.value, p.std_error, p.unit] for p in cause.parameters],
-        "rivals": [[a.kind, a.where] for a in cause.alternatives],
+        "rivals": [[a.kind, a.where, a.description] for a in cause.alternatives],
         "description": cause.description,
     }

@@ -314,3 +314,29 @@ def test_probabilities_are_those_of_their_tests() -> None:
     assert probability_of_detection(0.0, 0.05) == pytest.approx(0.05)
     # (1.96 + 1.2816)^2 for a power of 90 %, the other side of the test left out.
     assert probability_of_detection(10.507, 0.05) == pytest.approx(0.9, abs=1e-3)
+
+
+def test_a_design_for_a_dead_voltage_speaks_of_no_friction() -> None:
+    m = casid.Model("coil")
+    i, u = m.state("i", "A", initial=0.0), m.input("u", "V")
+    L, R = m.parameter("L", "H", start=1.0), m.parameter("R", "ohm", start=2.0)
+    m.balance(i, "coil", inertia=L, terms=[-R * i, u], unit="V")
+    m.output("y", i, "A")
+    found = casid.design_experiment(
+        casid.Problem("coil", m, noise={"y": 0.01}),
+        Aim.separate("coulomb_friction", "offset"),
+        {"u": (-2.0, 2.0)},
+        6.0,
+        sizes={"coulomb_friction": 0.2},
+        **{**SMALL, "candidates": 2, "starts": 0},
+    )
+    assert [p.name for p in found.parameters] == ["L", "R", "V_c"]
+    drawn = {t.name for t in found.plot().data}
+    for words in (
+        "constant voltage that opposes i in the coil balance",
+        "constant voltage in the coil balance",
+    ):
+        assert words in str(found)
+        assert words in drawn
+        assert any(note.startswith(f"{words} is taken with V_") for note in found.notes)
+    assert "dry friction" not in str(found)

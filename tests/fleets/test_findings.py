@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from casid.fleets.findings import Finding, Key, Outcome, findings_of, maximal_stretches
+from casid.fleets.fleet_table import laws_of
 
 OFFSET, BIAS = ("offset", "torque"), ("sensor_bias", "roll")
 
@@ -113,3 +116,16 @@ def test_the_best_stretch_is_the_one_of_largest_sum(score: list[float]) -> None:
     inside = [i for a, b in found for i in range(a, b + 1)]
     assert len(inside) == len(set(inside))
     assert set(np.flatnonzero(np.array(score) > 0)) <= set(inside)
+
+
+def test_a_dead_voltage_is_called_one_in_a_fleet_too() -> None:
+    """As in the diagnosis of its record, beside what it may be as well."""
+    law = "a constant voltage that opposes i, as a dead voltage or a brush drop does"
+    offset = ["offset", "coil", "a constant voltage"]
+    dead = {"kind": "coulomb_friction", "where": "coil", "description": law, "rivals": [offset]}
+    old = {"kind": "offset", "where": "coil", "rivals": [["sensor_bias", "i"]]}
+    table = pd.DataFrame({"causes": [json.dumps([old]), "[]", json.dumps([dead])]})
+    assert laws_of(table) == {
+        ("coulomb_friction", "coil"): law,
+        ("offset", "coil"): "a constant voltage",
+    }

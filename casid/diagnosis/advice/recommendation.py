@@ -17,6 +17,7 @@ from casid.diagnosis.advice.undetectable import (
 )
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Verdict
@@ -26,7 +27,7 @@ from casid.diagnosis.verdict.sentences import declares, separates
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import POOR
 from casid.model.effects.effect import OF_SAMPLES
-from casid.model.effects.names import effect_words, either_words
+from casid.model.effects.names import either_words
 from casid.model.model import Model
 
 
@@ -53,7 +54,7 @@ def recommend(
     table, base = found.search.first_table, found.baseline
     attempt = found.search.attempts.attempt
     named = _seen(judged.causes)
-    absorbed = [e.key for _, e in absorbed_effects(table, problem.model)] if table else []
+    absorbed = [e for _, e in absorbed_effects(table, problem.model)] if table else []
     planned = None
     if plan:
         what = "the plan of an experiment that separates tied causes"
@@ -73,7 +74,7 @@ def recommend(
         is_same = bool(decides.get("extended_rmse")) and not (
             changes(decides) or changes(judged.fitted)
         )
-        hidden = [key for key in absorbed if key not in named]
+        hidden = [name_of(e) for e in absorbed if e.key not in named]
         text = advice(
             judged.verdict,
             judged.causes,
@@ -172,7 +173,7 @@ _REMEDIES = (": check ", ": fit ", ": diagnose ")
 def advice(
     verdict: Verdict,
     causes: Sequence[Cause],
-    undetectable: Sequence[tuple[str, str]],
+    undetectable: Sequence[str],
     why_undecided: str,
     *,
     is_better: bool = True,
@@ -183,7 +184,7 @@ def advice(
 
     Parameters
     ----------
-    undetectable : kind and place of what the records cannot show (`absorbed_effects`).
+    undetectable : names of what the records cannot show (`absorbed_effects`).
     is_better : whether including the causes lowers the error of what was held out.
     is_same : including the causes changes no error.
     doubts : what contradicts the model although no cause was found for it.
@@ -203,7 +204,7 @@ def advice(
     return _of_a_deficient_model(causes, why_undecided, is_better, is_same, doubts)
 
 
-def _of_an_adequate_model(undetectable: Sequence[tuple[str, str]], doubts: Doubts) -> str:
+def _of_an_adequate_model(undetectable: Sequence[str], doubts: Doubts) -> str:
     """How far a model may be used that lacks no effect of the catalogue."""
     if doubts.disagreements:
         return f"{_APART}: {doubts.said}."
@@ -215,7 +216,7 @@ def _of_an_adequate_model(undetectable: Sequence[tuple[str, str]], doubts: Doubt
     else:
         text = "The model may be used for motions like those recorded."
     if undetectable:
-        names = ", ".join(sorted(effect_words(k, w) for k, w in undetectable))
+        names = ", ".join(sorted(set(undetectable)))
         text = text if doubts.said else "The model may be used."
         return f"{text} Undetectable in this set-up: {names}."
     return text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from casid.model.effects.names import (
     OVERFLOW,
     RATE,
     RATE_LIMIT,
+    constant_quantity,
     effect_words,
     either_words,
     law_of,
@@ -46,7 +48,7 @@ _SAYS = {
     "backlash": "the coupling of {where} has play (backlash)",
     "end_stop": "a stop limits the motion in {place}",
     "cogging": "a force that is periodic in the position (cogging) acts in {place}",
-    "offset": "a constant term acts in {place}",
+    "offset": "a constant {quantity} acts in {place}",
     "periodic_disturbance": "an unrecorded periodic disturbance acts in {place}",
     "parameter_drift": "the parameter {where} drifts during the record",
     "extra_input": "the recorded channel {where}, which the model omits, acts {on}",
@@ -143,12 +145,14 @@ def says_kind(
     is_relative: bool = False,
     is_command: bool = False,
     on: str = "on the system",
+    quantity: str = "term",
 ) -> str:
     """A kind of the catalogue in words; where its place is a relative motion, or a command.
 
     Parameters
     ----------
     on : what a further input acts on.
+    quantity : what is constant in a balance: a torque, a voltage.
     """
     if is_command and kind in _OF_COMMANDS:
         return _OF_COMMANDS[kind].format(where=where)
@@ -161,7 +165,13 @@ def says_kind(
     if kind == "actuator_lag" and ", " in where:
         return f"{_inputs_do(where, 'acts')} with one first-order lag"
     return _SAYS[kind].format(
-        where=where, place=place, restoring=restoring, own=own, source=source, on=on
+        where=where,
+        place=place,
+        restoring=restoring,
+        own=own,
+        source=source,
+        on=on,
+        quantity=quantity,
     )
 
 
@@ -219,7 +229,8 @@ def says(effect: Effect, column: str = "") -> str:
         return effect.description
     if effect.shape == RATE:
         return says_rate_limit(effect.where, "a rate")
-    if law := law_of(effect.kind, effect.description):
+    law = law_of(effect.kind, effect.description)
+    if law and effect.kind != "offset":
         comma = "," if "," in law else ""
         return f"{law}{comma} is missing{place_of_law(law, effect.where)}"
     if effect.kind == "time_delay" and effect.description:
@@ -235,6 +246,7 @@ def says(effect: Effect, column: str = "") -> str:
             effect.where,
             is_relative="acts on " in effect.description,
             is_command=of_command,
+            quantity=constant_quantity(effect.description),
         )
     what = effect.description or f"{effect.kind} acts"
     if effect.kind == "unknown":
@@ -269,6 +281,8 @@ def separates(kind: str, where: str = "", description: str = "") -> str:
     if description.startswith(GAIN_OF_INPUT):
         return "the same input before and after, with what the actuator does recorded beside it"
     law = law_of(kind, description)
+    if kind == "offset" and constant_quantity(description) not in (*_FORCES, "term"):
+        return _SEPARATES_LAWS[GROWS]
     for what, experiment in _SEPARATES_LAWS.items():
         if what in law:
             return experiment
@@ -360,7 +374,8 @@ def _says_cause(c: Cause) -> str:
     if not c.tied:
         return c.sentence
     every: list[Cause | Alternative] = [c, *c.alternatives]
-    if all((e.kind, e.words) == (c.kind, effect_words(c.kind, e.where)) for e in every):
+    same = partial(effect_words, c.kind, description=c.description)
+    if all((e.kind, e.words) == (c.kind, same(e.where)) for e in every):
         # The place alone is open.
         places = either_words(place_words(a.where) for a in c.alternatives if a.where != c.where)
         return f"{c.sentence} (this record does not separate it from the same effect in {places})"

@@ -23,10 +23,10 @@ from casid.model.effects.effect import (
     known_while_null,
 )
 from casid.model.effects.names import GROWS, OPPOSES
-from casid.model.effects.place import Place, a_quantity
+from casid.model.effects.place import Place, a_constant, a_quantity
 from casid.model.effects.places import place_named
 from casid.model.model import Model
-from casid.model.units import is_comparable, same_dimension, unit_quotient
+from casid.model.units import is_comparable, letter_of, same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
 
@@ -112,11 +112,13 @@ def coulomb_friction(model: Model, where: str | Place, speed: float) -> Effect:
     """-F_c tanh(v / v_0): dry friction, smoothed below `speed` = v_0 (rate's SI unit).
 
     The smoothing keeps the simulation differentiable; it is small against the speeds met. In a
-    balance of voltages it is the dead voltage of a converter, or the drop over brushes or diodes.
+    balance of voltages it is the dead voltage V_c of a converter, or the drop over brushes or
+    diodes.
     """
     place = place_named(model, where)
     v_0 = carrying_unit(speed)
-    p = Parameter("F_c", place.unit, 0.0, lower=0.0)
+    letter = "F" if place.is_mechanical else letter_of(place.unit)
+    p = Parameter(f"{letter}_c", place.unit, 0.0, lower=0.0)
     return force_along(
         place,
         "coulomb_friction",
@@ -235,10 +237,12 @@ def effective_stiffness(model: Model, balance: str, position: str) -> Any | None
 
 
 def offset(model: Model, where: str | Place) -> Effect:
-    """A constant force or torque in a balance, or between two bodies or stores."""
+    """A constant force, voltage or flow in a balance, or between two bodies or stores."""
     place = place_named(model, where)
-    symbol = "tau_0" if place.unit == "N m" else "F_0"
-    return force_along(place, "offset", Parameter(symbol, place.unit, 0.0), lambda F_0: F_0)
+    is_known = place.unit == "N m" or not place.is_mechanical
+    p = Parameter(f"{letter_of(place.unit) if is_known else 'F'}_0", place.unit, 0.0)
+    words = f"{a_constant(place.unit)} {place.words}".rstrip()
+    return force_along(place, "offset", p, lambda F_0: F_0, description=words)
 
 
 def extra_input(

@@ -23,7 +23,7 @@ from casid.model.effects.parameter_effects import (
     since,
     step_at,
 )
-from casid.model.effects.place import is_zero, recorded_inputs
+from casid.model.effects.place import a_constant, is_zero, recorded_inputs
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
@@ -32,11 +32,12 @@ STEP, KNOCK, DRIFT = "step", "knock", "drift"
 
 
 def offset_step(model: Model, balance: str, time: float, end: float | None = None) -> Effect:
-    """A constant force or torque from `time` on, or until `end` (seconds of the record's clock)."""
+    """A constant force or voltage from `time` on, or until `end` (s of the record's clock)."""
     made = _set_in(offset(model, balance), time, end)
-    says = f"a constant term sets in during the record, in the {balance} balance"
+    what = a_constant(model.balances[balance].unit)
+    says = f"{what} sets in during the record, in the {balance} balance"
     if end is not None:
-        says = f"a constant term acts in the {balance} balance {FOR_A_WHILE}"
+        says = f"{what} acts in the {balance} balance {FOR_A_WHILE}"
     return replace(made, description=says)
 
 

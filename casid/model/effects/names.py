@@ -17,7 +17,7 @@ _NAMES = {
     "backlash": "backlash in {where}",
     "end_stop": "end stop in {place}",
     "cogging": "cogging in {place}",
-    "offset": "constant term in {place}",
+    "offset": "constant {quantity} in {place}",
     "periodic_disturbance": "periodic disturbance in {place}",
     "missing_mode": "unmodelled mode in {place}",
     "parameter_drift": "drift of {where}",
@@ -86,6 +86,11 @@ GROWS, OPPOSES = "that grows with", "that opposes"
 OVERFLOW, CLAMP = "an overflow", "a clamp"
 """In descriptions of laws that circuits and stores have where bodies have friction and stops."""
 
+A_CONSTANT = "a constant "
+"""How the description begins of a constant in a balance; what it is of follows."""
+
+_CONSTANT = re.compile(rf"{A_CONSTANT}([a-z ]+?)(?= acts | sets in |$)")
+
 _SIZE = re.compile(r"\|\(([^()|]*)\)\|")
 """The size of a difference, whose bars need no brackets inside."""
 
@@ -112,8 +117,20 @@ def unknown_place(where: str) -> str:
     return "the model" if where == ANYWHERE else where
 
 
+def constant_quantity(description: str) -> str:
+    """What a constant in a balance is by its description: `torque`, `voltage`, else `term`."""
+    found = _CONSTANT.match(description)
+    return found[1] if found else "term"
+
+
 def law_of(kind: str, description: str) -> str:
-    """The description of a law of a circuit or a store, else empty: no friction, and no spring."""
+    """What an effect is called by beside its kind, as far as its description says it, else empty.
+
+    The law of a circuit or a store, which has no friction and no spring, or the quantity that is
+    constant in a balance.
+    """
+    if kind == "offset" and _CONSTANT.match(description):
+        return f"{A_CONSTANT}{constant_quantity(description)}"
     if kind not in _LAWS:
         return ""
     is_law = description.startswith((OVERFLOW, CLAMP)) or any(
@@ -135,7 +152,7 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     Parameters
     ----------
     description : of the effect, where it is known: it tells the two delays of an input apart, and
-        the laws of a circuit or a store from those of a body.
+        the laws of a circuit or a store from those of a body, and it says what is constant.
     """
     if kind not in _NAMES:
         return f"{kind} in {where}"
@@ -154,14 +171,26 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     if kind == "hold" and description.endswith(BETWEEN_SAMPLES):
         course = description.removesuffix(BETWEEN_SAMPLES)
         return f"{_NAMES[kind].format(where=at)} ({course})"
-    if law := law_of(kind, description).partition(",")[0]:
+    law = law_of(kind, description).partition(",")[0]
+    if law and kind in _LAWS:
         return f"{law.removeprefix('an ').removeprefix('a ')}{place_of_law(law, at)}"
-    words = _NAMES[kind].format(place=place, where=at, own=own, source=source or "the state")
+    words = _NAMES[kind].format(
+        place=place,
+        where=at,
+        own=own,
+        source=source or "the state",
+        quantity=constant_quantity(description),
+    )
     if description.endswith(FOR_A_WHILE):
         return f"{_FOR_A_WHILE.get(kind, words).format(where=at)} {FOR_A_WHILE}"
     if kind == "sensor_scale" and (variant or description.endswith(DURING_THE_RECORD)):
         return _CHANGE_OF_GAIN.format(where=at)
     return f"{words} ({variant})" if variant else words
+
+
+def unsaid(words: str, description: str) -> str:
+    """The description of an effect, empty where the words for it say the same."""
+    return "" if description.removeprefix("an ").removeprefix("a ") in words else description
 
 
 def place_words(where: str) -> str:

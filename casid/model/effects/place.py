@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casid.model.declarations import Balance
+from casid.model.effects.names import A_CONSTANT
 from casid.model.formula_text import formula_text
 from casid.model.model import Model
 from casid.model.units import quantity_of, same_dimension, unit_quotient
@@ -100,6 +101,11 @@ def a_quantity(unit: str, otherwise: str = "term") -> str:
     word = quantity_of(unit)
     word = otherwise if word == "term" else word
     return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
+
+
+def a_constant(unit: str) -> str:
+    """What a constant in a balance in `unit` is called: a constant torque, else a constant term."""
+    return f"{A_CONSTANT}{quantity_of(unit)}"
 
 
 def is_amount(unit: str) -> bool:

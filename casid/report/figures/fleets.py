@@ -18,8 +18,8 @@ from casid.report.figures.style import (
     BEFORE,
     MEASURED,
     axis_text,
-    effect_label,
     figure_text,
+    short_label,
     translucent,
     visible_text,
 )
@@ -56,8 +56,9 @@ def cause_figure(fleet: Fleet) -> Any:
     edges = _edges(fleet)
     z = [_shares(fleet, asset, found, edges) for (asset, _, _), found in shown]
     names = [
-        f"{figure_text(asset, 30)}<br><sub>{effect_label(kind, where).replace(', ', '<br>')}</sub>"
-        for (asset, kind, where), _ in shown
+        f"{figure_text(asset, 30)}<br>"
+        f"<sub>{short_label(fleet.words(*key)).replace(', ', '<br>')}</sub>"
+        for (asset, *key), _ in shown
     ]
     figure = Panels(panels=1, row_height=38 * len(shown) + 30, gap=40)
     figure.add(

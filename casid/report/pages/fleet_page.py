@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 from casid.fleets.findings import Finding
 from casid.fleets.fleet import ASSUMPTIONS, Fleet
-from casid.model.effects.names import effect_words
 from casid.model.quantities import count_text
 from casid.report.document import (
     Banner,
@@ -116,7 +115,7 @@ def _banner(fleet: Fleet) -> Banner:
         first = lasting[0]
         sentence = (
             f"{_many(len(lasting), 'cause is', 'causes are')} still there; the strongest is "
-            f"{effect_words(*first.key)} of {first.asset}, in {len(first.records)} records."
+            f"{fleet.words(*first.key)} of {first.asset}, in {len(first.records)} records."
         )
         word = f"{assets} of {count_text(len(fleet.assets), 'asset')}"
         return Banner(word, "with a cause that lasts", sentence, "deficient")
@@ -124,7 +123,7 @@ def _banner(fleet: Fleet) -> Banner:
         first = latest[0]
         sentence = (
             f"{_many(len(latest), 'cause appears', 'causes appear')} in a single record, the "
-            f"strongest is {effect_words(*first.key)} of {first.asset}; further records of the "
+            f"strongest is {fleet.words(*first.key)} of {first.asset}; further records of the "
             "asset decide whether it lasts."
         )
         return Banner("not confirmed", "found once", sentence, "undecided")
@@ -144,7 +143,7 @@ def _findings(fleet: Fleet, shown: Sequence[Finding]) -> Table:
         asset, *rest = finding_cells(fleet, f)
         # A date is one word.
         words = (re.sub(r"(\d{4})-(\d\d)-(\d\d)", "\\1\u2011\\2\u2011\\3", c) for c in rest)
-        rows.append((asset, *words, _size(f), _also(f), _named(f, names)))
+        rows.append((asset, *words, _size(f), _also(fleet, f), _named(f, names)))
     return Table(
         (*FINDING_HEAD, "size", "it may also be", "example"),
         rows,
@@ -161,8 +160,8 @@ def _size(f: Finding) -> str:
     return number_text(f.size) + spread + unit
 
 
-def _also(f: Finding) -> str:
-    return ", ".join(effect_words(kind, where) for kind, where in f.also) or "\u2013"
+def _also(fleet: Fleet, f: Finding) -> str:
+    return ", ".join(fleet.words(*key) for key in f.also) or "\u2013"
 
 
 def _named(f: Finding, names: dict[int, str]) -> Code:

@@ -6,6 +6,7 @@ from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.facts import Facts
 from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.estimate import Estimated
+from casid.model.effects.names import unsaid
 from casid.model.quantities import quantity_text
 from casid.report.document import Code, Inline, Paragraph, Part, Table
 from casid.report.numbers import (
@@ -66,7 +67,7 @@ def small_remainders(d: Diagnosis) -> list[Part]:
             effect_in_words(c.kind, c.where, c.description),
             share_text(c.share),
             p_text(c.p_value),
-            c.description,
+            unsaid(c.words, c.description),
         )
         for c in d.remainders
     ]

@@ -11,7 +11,6 @@ from casid.experiment_design.designed_experiment import (
     LimitUse,
     Outcome,
     Standard,
-    hypothesis_words,
 )
 from casid.experiment_design.thresholds import DESIGN
 from casid.report.document import Document, Part, Table, labelled
@@ -39,8 +38,8 @@ def outcome_table(found: DesignedExperiment) -> Table:
     rows = [
         (
             *(
-                o.words,
-                hypothesis_words(o.rival),
+                found.words(o.truth) + ("" if o.size is None else f" of {o.size:.3g}"),
+                found.words(o.rival),
                 number_text(o.energy),
                 share_text(o.power),
                 share_text(o.standard),

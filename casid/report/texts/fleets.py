@@ -10,7 +10,6 @@ from casid.estimation.estimate import Estimated
 from casid.fleets.findings import Finding
 from casid.fleets.fleet import Fleet
 from casid.fleets.random_effects import ParameterEffects
-from casid.model.effects.names import effect_words
 from casid.model.quantities import count_text, shortened
 from casid.report.document import Document, Table, labelled
 from casid.report.numbers import number_text, plus_minus
@@ -115,7 +114,7 @@ def finding_cells(fleet: Fleet, f: Finding) -> tuple[str, ...]:
     """A finding as cells below `FINDING_HEAD`."""
     return (
         f.asset,
-        f"{effect_words(f.kind, f.where)} [{f.kind}]",
+        f"{fleet.words(*f.key)} [{f.kind}]",
         onset_text(fleet, f),
         str(len(f.records)),
         f"{min(f.e_value, 1e300):.1e}",

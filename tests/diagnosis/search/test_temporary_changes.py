@@ -61,7 +61,7 @@ def sizes(cause: object) -> dict[str, object]:
     ("effect", "size", "name", "kind"),
     [
         ("leaks", 0.3, "jump_k", "parameter_jump"),
-        pytest.param("flows", 0.2, "F_0", "offset", marks=pytest.mark.slow),
+        pytest.param("flows", 0.2, "c_0", "offset", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_on_for_a_while_is_one_cause_with_both_instants(

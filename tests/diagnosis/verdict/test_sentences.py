@@ -24,9 +24,9 @@ from casid.diagnosis.verdict.sentences import (
     why_alternative,
 )
 from casid.estimation.estimate import Estimated
-from casid.model.effects.balance_effects import coulomb_friction, quadratic_damping
+from casid.model.effects.balance_effects import coulomb_friction, offset, quadratic_damping
 from casid.model.effects.channel_effects import hold, sensor_bias
-from casid.model.effects.clock_effects import bias_drift
+from casid.model.effects.clock_effects import bias_drift, offset_step
 from casid.model.effects.names import effect_words, law_of
 from casid.model.effects.parameter_effects import parameter_drift
 from casid.model.units import unit_quotient
@@ -87,6 +87,33 @@ def test_dry_friction_is_a_matter_of_forces_alone(unit, rate, name, sentence):
     said = advice("deficient", [cause], (), "")
     assert said.startswith(f"To separate {name} from constant term in the balance balance: ")
     assert ("friction" in said) is (unit == "N")
+
+
+@pytest.mark.parametrize(
+    ("unit", "rate", "what", "symbols"),
+    [
+        ("V", "A", "voltage", ("V_c", "V_0")),
+        ("W", "K", "heat flow", ("Q_c", "Q_0")),
+        ("N", "m/s", "force", ("F_c", "F_0")),
+        ("N m", "rad/s", "torque", ("F_c", "tau_0")),
+        ("1/s", "1", "term", ("c_c", "c_0")),
+    ],
+)
+def test_a_constant_is_called_by_what_its_balance_is_of(unit, rate, what, symbols):
+    model = converter(unit, rate)
+    constant, opposing = offset(model, "balance"), coulomb_friction(model, "balance", 0.1)
+    assert (opposing.parameters[0].name, constant.parameters[0].name) == symbols
+    assert says(constant) == f"a constant {what} acts in the balance balance"
+    law = law_of(constant.kind, constant.description)
+    assert effect_words(*constant.key, description=law) == f"constant {what} in the balance balance"
+    assert ("rests" in separates("offset", "balance", law)) is (what in ("force", "torque", "term"))
+    later = offset_step(model, "balance", 3.0)
+    assert says(later).startswith(f"a constant {what} sets in during the record")
+    words = effect_words(*later.key, description=later.description)
+    assert words == f"constant {what} in the balance balance (step)"
+    over = offset_step(model, "balance", 3.0, 5.0)
+    words = effect_words("offset", "balance", description=over.description)
+    assert words == f"constant {what} in the balance balance for a while"
 
 
 @pytest.mark.parametrize(
@@ -392,7 +419,7 @@ def test_what_contradicts_the_model_is_said_where_no_cause_was_found(
 ):
     text = verdict_sentence("adequate", [], {}, "", pendulum.problem, doubts=doubts)
     assert said in text
-    told = advice("adequate", [], (("offset", "torque"),), "", doubts=doubts)
+    told = advice("adequate", [], ("constant torque in the torque balance",), "", doubts=doubts)
     assert told.startswith(todo)
     spoilt = advice("deficient", [SPIKES], (), "", doubts=doubts)
     assert f"They do not explain all: {doubts.said}." in spoilt
