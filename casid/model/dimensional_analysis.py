@@ -66,11 +66,13 @@ def _require_like(op: str, sides: list[Dimension], numbers: list[float | None]) 
     raise DimensionMismatch(_PAIRED[op].format(*shown), remedy)
 
 
-def _ops() -> dict[int, str]:
+def operation_names() -> dict[int, str]:
+    """CasADi's number of an operation -> its name, `OP_ADD`."""
     return {getattr(ca, n): n for n in dir(ca) if n.startswith("OP_")}
 
 
-def _simple(value: float) -> bool:
+def is_pure_number(value: float) -> bool:
+    """True for a literal that is taken as dimensionless: an integer or a simple fraction."""
     return float(value * 12).is_integer() and abs(value) < 1e6
 
 
@@ -79,7 +81,7 @@ def carrying_unit(value: float) -> float:
 
     0.5 would be taken for a number without a unit; its neighbour 0.5000000000000001 is not.
     """
-    return float(np.nextafter(value, np.inf)) if _simple(value) else value
+    return float(np.nextafter(value, np.inf)) if is_pure_number(value) else value
 
 
 def dimension_text(d: Dimension) -> str:
@@ -97,7 +99,7 @@ def dimension_of(expression: Any, symbols: list[Any], units: dict[str, str]) -> 
     """
     function = ca.Function("d", symbols, [expression])
     known = [tuple(parse_unit(units[s.name()]).dimension) for s in symbols]
-    ops = _ops()
+    ops = operation_names()
     work: dict[int, Dimension] = {}
     numbers: dict[int, float] = {}
     result: Dimension = _ONE
@@ -113,17 +115,24 @@ def dimension_of(expression: Any, symbols: list[Any], units: dict[str, str]) -> 
             continue
         if op == "OP_CONST":
             value = float(function.instruction_constant(k))
-            work[outs[0]] = _ONE if _simple(value) and value != 0.0 else None
+            work[outs[0]] = _ONE if is_pure_number(value) and value != 0.0 else None
             numbers[outs[0]] = value
             continue
         args = [work[i] for i in ins]
         value_of = [numbers.get(i) for i in ins]
-        work[outs[0]] = _apply(op, args, value_of)
+        work[outs[0]] = operation_dimension(op, args, value_of)
         numbers.pop(outs[0], None)
     return result
 
 
-def _apply(op: str, args: list[Dimension], values: list[float | None]) -> Dimension:
+def operation_dimension(op: str, args: list[Dimension], values: list[float | None]) -> Dimension:
+    """Dimension of one operation of CasADi; `values` are those of arguments that are literals.
+
+    Raises
+    ------
+    DimensionMismatch
+        Where the arguments are unlike, or a function takes a quantity.
+    """
     a = args[0]
     b = args[1] if len(args) > 1 else None
     if op in _SAME:

@@ -12,10 +12,13 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import ModelError
+from casid.estimation.fitted.numbers_with_units import GUARD, MARK, with_units
 from casid.model.clock_signals import Always, TimeSince
 from casid.model.declarations import Hold, Input
 from casid.model.formula_text import formula_text, summands
 from casid.model.model import Model
+from casid.model.quantities import unit_text
+from casid.model.units import unit_quotient
 
 Expr = Any  # a CasADi SX expression
 
@@ -33,8 +36,6 @@ _STAGES = {
 """Kind of a stage -> what becomes of a channel c with the parameter p, and in words."""
 
 
-GUARD = 1e-100
-"""Numbers below it keep a division finite, and are not shown."""
 _LONG = re.compile(r"\d+\.\d{6,}(?:e[-+]\d+)?")  # numbers of more digits than a reader wants
 _GUARD = re.compile(r" [+-] \d+(?:\.\d+)?e-1\d\d\b")  # keeps a division finite, and is nothing
 _TURN = re.compile(r"(?<![\w.])6\.28318530717\d+(?![\w.^])")  # rad in a turn
@@ -156,30 +157,33 @@ def equations_of(model: Model, baseline: Model | None = None) -> ModelEquations:
 
 
 def _equations(model: Model) -> Iterator[ModelEquation]:
-    read = _with_the_time(model)
+    timed = _with_the_time(model)
+
+    def read(expression: Expr, unit: str) -> Expr:
+        return timed(with_units(model, expression, unit))
+
     for state, expression in model._rates.items():
-        equation = _equation(
-            f"d{state}/dt", f"d{state}/dt", rf"\dot{{{_symbol(state)}}}", [read(expression)]
-        )
+        right = [read(expression, unit_quotient(model.states[state].unit, "s"))]
+        equation = _equation(f"d{state}/dt", f"d{state}/dt", rf"\dot{{{_symbol(state)}}}", right)
         yield replace(equation, left_mathml=_rate_mathml(state))
     for b in model.balances.values():
-        inertia, latex = _written(b.inertia), _latex(b.inertia)
+        mass = with_units(model, b.inertia)
+        inertia, latex = _written(mass), _latex(mass)
         rate, dot = f"d{b.rate}/dt", rf"\dot{{{_symbol(b.rate)}}}"
         is_one = inertia == "1"
         left = rate if is_one else f"({inertia}) {rate}"
-        bracketed = latex if ca.SX(b.inertia).is_leaf() else rf"\left({latex}\right)"
-        equation = _equation(
-            b.name, left, dot if is_one else rf"{bracketed}\,{dot}", [*map(read, b.terms)], b.unit
-        )
-        factor, rate = _mathml(b.inertia), _rate_mathml(b.rate)
+        bracketed = latex if ca.SX(mass).is_leaf() else rf"\left({latex}\right)"
+        terms = [read(term, b.unit) for term in b.terms]
+        equation = _equation(b.name, left, dot if is_one else rf"{bracketed}\,{dot}", terms, b.unit)
+        factor, rate = _mathml(mass), _rate_mathml(b.rate)
         if not is_one:  # an inertia that has no MathML leaves none to the left side
             rate = factor and f'{factor}<mspace width="0.2em"></mspace>{rate}'
         yield replace(equation, left_mathml=rate)
     for name, (expression, unit) in model.outputs.items():
-        equation = _equation(f"output {name}", name, _symbol(name), [read(expression)], unit)
+        equation = _equation(f"output {name}", name, _symbol(name), [read(expression, unit)], unit)
         yield replace(equation, left_mathml=_mathml(ca.SX.sym(name)))
     for unknown, output, residual in model._eliminations:
-        parts = _equation(f"elimination of {unknown}", "0", "0", [read(residual)])
+        parts = _equation(f"elimination of {unknown}", "0", "0", [read(residual, "")])
         parts = replace(parts, left_mathml="<mn>0</mn>")
         yield replace(parts, note=f"gives {unknown}, with {output} as an input")
     for stage in model.stages:
@@ -255,8 +259,9 @@ def _term(part: Expr) -> Term:
 def _written(expression: Expr) -> str:
     """An expression as text, derivatives of states as d/dt."""
     names = [s.name() for s in ca.symvar(ca.SX(expression))]
-    derivatives = {n: f"d{n[4:]}/dt" for n in names if n.startswith("der_")}
-    text = formula_text(expression, names=derivatives)
+    shown = {n: f"d{n[4:]}/dt" for n in names if n.startswith("der_")}
+    shown |= {n: n.removeprefix(MARK) for n in names if n.startswith(MARK)}
+    text = formula_text(expression, names=shown)
     text = _TURN.sub("2 pi", _GUARD.sub("", text))
     return _LONG.sub(lambda number: f"{float(number[0]):.6g}", text)
 
@@ -269,6 +274,8 @@ def _symbol(name: str) -> str:
     """A name as LaTeX: Greek letters and indices where it has some, upright where it is a word."""
     import sympy
 
+    if name.startswith(MARK):
+        return re.sub(r"\^(-?[\d.]+)", r"$^{\1}$", _text(name.removeprefix(MARK)))
     if not name.replace("_", "").isalnum():
         return _text(name)
     latex = str(sympy.latex(sympy.Symbol(name)))
@@ -300,10 +307,11 @@ def _mathml(expression: Expr) -> str:
     if algebra is None or algebra.has(sympy.Piecewise):
         return ""
     # What sympy's printer is given as a name it writes unescaped, and names come from files.
-    names = {s: html.escape(s.name) for s in algebra.free_symbols}
+    names = {s: html.escape(unit_text(s.name)) for s in algebra.free_symbols}
     names = {s: f"d{name[4:]}/dt" if name.startswith("der_") else name for s, name in names.items()}
     safe = algebra.xreplace({s: sympy.Symbol(name) for s, name in names.items()})
     content = str(mathml(safe, printer="presentation")).replace("<mo>-</mo>", "<mo>\u2212</mo>")
+    content = content.replace(f">{MARK}", ">")
     return f"<mrow><mo>(</mo>{content}<mo>)</mo></mrow>" if safe.is_Add else content
 
 
