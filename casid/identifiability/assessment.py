@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from casid.arrays import finite_or_none
 from casid.deprecation import renamed
 from casid.grouping import Grouped
-from casid.model.quantities import are, shortened
+from casid.model.quantities import are, listed, shortened
 from casid.presentation import Presented, present, write
 from casid.saving.saved import Saved
 
@@ -342,7 +342,7 @@ class Assessment(Presented, Saved):
                 suffix = "" if exact else " (not every choice; see the fixing sets)"
                 parts.append(f"give {count} of {', '.join(group)} a known value{suffix}")
         if alone:
-            parts.append(f"give {_all(alone)} a known value, or measure what {_acts(alone)}")
+            parts.append(f"give {listed(alone)} a known value, or measure what {_acts(alone)}")
         return "; ".join(parts)
 
     # -- showing ------------------------------------------------------------------------------
@@ -428,10 +428,6 @@ def _direction(direction: NullDirection) -> dict[str, Any]:
             if v is None or v != 0
         },
     }
-
-
-def _all(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + f" and {names[-1]}"
 
 
 def _acts(names: Sequence[str]) -> str:

@@ -114,6 +114,11 @@ def are(n: int) -> str:
     return "is" if n == 1 else "are"
 
 
+def listed(names: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
 def shortened(names: Sequence[str], most: int = 40) -> str:
     """Names with commas; of very many the first, and how many more there are."""
     if len(names) <= most:

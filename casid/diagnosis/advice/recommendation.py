@@ -12,7 +12,6 @@ from casid.diagnosis.advice.next_experiment import Advice, Proposal, Suspect, ne
 from casid.diagnosis.advice.undetectable import (
     Undetectable,
     absorbed_effects,
-    listed,
     undetectable_effects,
 )
 from casid.diagnosis.evidence.disturbances import Disturbance
@@ -29,6 +28,7 @@ from casid.estimation.fit_statistics import POOR
 from casid.model.effects.effect import OF_SAMPLES
 from casid.model.effects.names import either_words
 from casid.model.model import Model
+from casid.model.quantities import listed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,6 +28,7 @@ from casid.identifiability.requirement import word
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words, law_of, place_words
 from casid.model.model import Model
+from casid.model.quantities import listed
 from casid.time_limit import wall_clock
 
 Reason = Literal["structural", "practical", "practical (structure not checked)"]
@@ -228,11 +229,6 @@ def _unobservable(found: Observability) -> set[str]:
         for x, is_seen in seen.items()
         if not is_seen
     }
-
-
-def listed(names: Sequence[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _structural_why(

@@ -8,7 +8,7 @@ for all unknowns.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -20,7 +20,7 @@ from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.intervals.bootstrap import Bootstrapped, bootstrapped
 from casid.estimation.intervals.profile import ProfileInterval, profile_interval
-from casid.estimation.intervals.quadratic_test import why_not_quadratic
+from casid.estimation.intervals.quadratic_test import NotQuadratic, why_not_quadratic
 from casid.estimation.intervals.scaled_criterion import (
     Minimum,
     ScaledCriterion,
@@ -29,6 +29,7 @@ from casid.estimation.intervals.scaled_criterion import (
 )
 from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS, PROFILE_SEARCH
 from casid.estimation.simulation.fit import FitSettings
+from casid.model.quantities import are, listed
 from casid.time_limit import Undone, until, wall_clock
 
 KINDS = ("auto", "quick", "profile", "bootstrap")
@@ -58,13 +59,16 @@ _PROFILE = (
 )
 _ROOT = "; the bias of the inputs' noise taken from slope and curvature as at the estimate"
 _NOT_NORMAL = (
-    "the interval of {name} is normal, though {why}: the bias of the inputs' noise is removed at "
+    "{intervals} normal, though {why}: the bias of the inputs' noise is removed at "
     "the estimate alone, and no profile can be taken; simulate (--intervals bootstrap)"
 )
 _SIMULATED = (
     "bias-corrected percentiles of {runs} estimates from records simulated with this estimate and "
     "noise like its residual"
 )
+
+
+_REQUESTED = NotQuadratic("it is requested")
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,20 +220,21 @@ def _profiles(
         root = undone.attempt("the test whether intervals are normal", at_root)
         if root is None:
             return
+    normal: dict[str, NotQuadratic] = {}
     for name in estimation.parameters:
         if estimation.is_root and name not in _free_names(fit):
             continue  # a root of equations has no size of its own beyond a bound
 
-        def tested(name: str = name) -> tuple[ScaledCriterion, str]:
+        def tested(name: str = name) -> tuple[ScaledCriterion, NotQuadratic | None]:
             scaled = _scaled(estimation, name, root)
-            why = "it is requested" if all_of_them else why_not_quadratic(scaled, name)
-            return scaled, why
+            return scaled, _REQUESTED if all_of_them else why_not_quadratic(scaled, name)
 
         known = undone.attempt("the test whether intervals are normal", tested)
         if known is None:
+            chosen.warnings.extend(normal_nevertheless(normal))
             return
         scaled, why = known
-        if not why:
+        if why is None:
             continue
         progress(f"profile of {name}: {why}")
 
@@ -240,13 +245,27 @@ def _profiles(
         if interval is None:
             continue
         if _is_of_root(scaled, name, interval):
-            chosen.warnings.append(_NOT_NORMAL.format(name=name, why=why))
+            normal[name] = why
         else:
             _keep(chosen, name, interval, fit)
+    chosen.warnings.extend(normal_nevertheless(normal))
     if not all_of_them and not fit.solution.constraint_jacobian.size:
-        chosen.assumes["quick"] = _TESTED
+        chosen.assumes["quick"] = _TESTED + (f", but not for {listed([*normal])}" if normal else "")
     if chosen.kinds:
         chosen.assumes["profile"] = _PROFILE + (_ROOT if estimation.is_root else "")
+
+
+def normal_nevertheless(why: Mapping[str, NotQuadratic]) -> Iterator[str]:
+    """A warning for each reason, which names every unknown that is normal in spite of it."""
+    for reason in dict.fromkeys(each.reason for each in why.values()):
+        names = [name for name, each in why.items() if each.reason == reason]
+        of = "" if len(names) == 1 else " for {}"
+        details = [why[n].detail + of.format(n) for n in names if why[n].detail]
+        s = "" if len(names) == 1 else "s"
+        yield _NOT_NORMAL.format(
+            intervals=f"the interval{s} of {listed(names)} {are(len(names))}",
+            why=NotQuadratic(reason, ", ".join(details)),
+        )
 
 
 def _is_of_root(scaled: ScaledCriterion, name: str, interval: ProfileInterval) -> bool:

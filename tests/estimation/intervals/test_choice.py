@@ -13,6 +13,7 @@ import casid
 from casid import time_limit
 from casid.cli.main import main
 from casid.estimation.intervals import choice
+from casid.estimation.intervals.quadratic_test import NotQuadratic
 from casid.identification.identify import identify
 from casid.presentation import present
 from problems import roll_decay
@@ -111,6 +112,23 @@ def test_what_there_is_no_time_for_is_normal_and_said(monkeypatch):
     assert kinds == ["profile", "quick"]
     assert found.is_converged
     assert found.not_done == ("the test whether intervals are normal",)
+
+
+def test_one_warning_names_all_that_are_normal_for_the_same_reason():
+    curved = "the criterion does not rise as a parabola does"
+    why = {
+        "a": NotQuadratic(curved, "by 9 and 2"),
+        "b": NotQuadratic("a bound is near", "0.3 standard errors away"),
+        "c": NotQuadratic(curved, "by 1 and 2"),
+    }
+    first, second = choice.normal_nevertheless(why)
+    assert first.startswith(
+        f"the intervals of a and c are normal, though {curved} (by 9 and 2 for a, by 1 and 2 for c)"
+    )
+    assert second.startswith(
+        "the interval of b is normal, though a bound is near (0.3 standard errors away): the bias"
+    )
+    assert not list(choice.normal_nevertheless({}))
 
 
 def test_another_word_is_refused():
