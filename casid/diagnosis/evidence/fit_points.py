@@ -1,14 +1,11 @@
-"""Points of the fits under a noise: moved, with initial states anew, at bounds."""
+"""Points of the fits under a noise: moved, and at bounds."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from casid.arrays import Array
 from casid.diagnosis.thresholds import PREWHITENING
-from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.unknowns import Variable
@@ -18,22 +15,6 @@ def is_at_bound(v: Variable, value: float) -> bool:
     """True at a bound, or as near as a solver that stays inside comes."""
     near = PREWHITENING.near_bound * max(abs(value), v.scale)
     return bool(not v.lower + near < value < v.upper - near)
-
-
-def with_states_anew(criterion: SimulationError, x: Array) -> Array:
-    """The variables with initial states one Gauss-Newton step nearer the least error, if it is."""
-    states = criterion.model.states
-    initial = [i for i, v in enumerate(criterion.variables) if v.source in states]
-    if not initial:
-        return x
-    here = criterion.evaluate(x)
-    matrix = here.hessian[np.ix_(initial, initial)]
-    if not np.all(np.isfinite([here.value, *here.gradient[initial], *matrix.ravel()])):
-        return x  # it diverges there
-    there = x.copy()
-    there[initial] -= np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
-    there = within_bounds(criterion, there)
-    return there if criterion.evaluate(there).value < here.value else x
 
 
 def moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:

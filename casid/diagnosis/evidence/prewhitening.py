@@ -19,7 +19,6 @@ from casid.diagnosis.evidence.fit_points import (
     is_at_bound,
     moved,
     use_samples_of,
-    with_states_anew,
 )
 from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
@@ -39,6 +38,7 @@ from casid.estimation.noise import error_over_noise, estimate_noise
 from casid.estimation.noise_floor import white_floor
 from casid.estimation.noise_model import NoiseModel
 from casid.estimation.simulation.fit import within_bounds
+from casid.estimation.simulation.initial_state import with_states_anew
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_response import with_varying_response

@@ -22,8 +22,8 @@ def states_of_windows(criterion: SimulationError, columns: Sequence[int]) -> lis
     """
     if all(criterion.parts(e) == 1 for e in range(len(criterion.data))):
         return []
-    sources = [criterion.variables[i].source for i in columns]
-    return [k for k, source in enumerate(sources) if source in criterion.model.states]
+    initial = criterion.initial_states
+    return [k for k, i in enumerate(columns) if i in initial]
 
 
 def left_by_states(begun: Array, moved: Array) -> Array:

@@ -22,6 +22,7 @@ from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.sensor_dynamics import due_to_earlier_inputs
 from casid.estimation.simulation.signals import signals_of
 from casid.identification.signs_from_simulation import WrongSign
 
@@ -42,7 +43,7 @@ def rmse(
     for e in range(len(split.whole)):
         d, y, _ = whole_simulation(fit, split, e)
         _, best, _ = whole_simulation(reference, split, e)
-        counts = d.used & ~reference.criterion.due_to_earlier(d)
+        counts = d.used & ~due_to_earlier_inputs(reference.criterion.model, d.N, d.Ts)
         for name, level in limits.items():
             i = outputs.index(name)
             counts[np.abs(best[:, i]) >= FUNCTIONS.at_limit * level, i] = False

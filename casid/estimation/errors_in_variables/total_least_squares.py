@@ -27,7 +27,7 @@ from casid.estimation.model_spectra import ModelSpectra, completed
 from casid.estimation.noise_floor import white_floor
 from casid.estimation.noise_model import NoiseModel
 from casid.estimation.noise_response import noise_response
-from casid.estimation.simulation.fit import within_bounds
+from casid.estimation.simulation.initial_state import with_states_anew
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.source_spectra import SourceSpectra
 from casid.estimation.whittle_scoring import At, impossible, minimum, step
@@ -115,20 +115,6 @@ class _TotalLeastSquares(ModelSpectra):
 
 def _with_states(criterion: SimulationError, x: Array, noise: NoiseModel) -> Array:
     """The variables with initial states that least whitened squares find; (1) hardly sees them."""
-    records = range(len(criterion.data))
-    responses = [noise_response(criterion, x, e) for e in records]
+    responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
     noise = replace(noise, responses=responses, varying=())
-    states = [i for i, v in enumerate(criterion.variables) if v.source in criterion.model.states]
-    for _ in range(FAR_ROOT.of_states if states else 0):
-        columns = []
-        for e in records:
-            at = criterion.simulated(x, e)
-            stack = np.concatenate([at.residual[:, :, None], at.jacobian[:, :, states]], axis=2)
-            columns.append(noise.whiten(stack * criterion.weights[None, :, None], e))
-        stack = np.concatenate([c.reshape(-1, 1 + len(states)) for c in columns])
-        if not np.all(np.isfinite(stack)):
-            return x
-        moved = x.copy()
-        moved[states] += np.linalg.lstsq(stack[:, 1:], stack[:, 0], rcond=1e-12)[0]
-        x = within_bounds(criterion, moved)
-    return x
+    return with_states_anew(criterion.whitened(noise.whiten), x, FAR_ROOT.of_states)

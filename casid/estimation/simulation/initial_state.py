@@ -1,4 +1,4 @@
-"""The initial state of a record that was not fitted, by least-squares simulation error."""
+"""Initial states by least squares: of a record that was not fitted, or anew at a point."""
 
 from __future__ import annotations
 
@@ -9,11 +9,31 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
-from casid.estimation.simulation.fit import value_at_start
+from casid.estimation.simulation.fit import value_at_start, within_bounds
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.short_horizons import begun_at, fit_of_short_horizons
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
+
+
+def with_states_anew(criterion: SimulationError, x: Array, steps: int = 1) -> Array:
+    """A point (n,) with initial states some Gauss-Newton steps nearer the least error.
+
+    A step that the error does not fall with is not taken.
+    """
+    initial = np.array(criterion.initial_states, dtype=int)
+    for _ in range(steps if initial.size else 0):
+        here = criterion.evaluate(x)
+        matrix = here.hessian[np.ix_(initial, initial)]
+        if not np.all(np.isfinite([here.value, *here.gradient[initial], *matrix.ravel()])):
+            return x  # it diverges there
+        there = x.copy()
+        there[initial] -= np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
+        there = within_bounds(criterion, there)
+        if not criterion.evaluate(there).value < here.value:
+            return x
+        x = there
+    return x
 
 
 def fit_initial_state(

@@ -134,3 +134,16 @@ def _solved(
     if not np.all(np.isfinite(equations.slopes(x, u, p).full())):
         return nothing
     return np.where(np.abs(free).max(axis=1, initial=0.0) > MEASURED_STATES.settled, np.nan, x)
+
+
+def state_size(model: Model, name: str, d: Signals, spread: Array) -> float:
+    """How large a state is: at its start, where it is measured first, or as outputs of its unit.
+
+    `spread` (ny,) is that of the outputs.
+    """
+    state = model.states[name]
+    measured = abs(measured_output(model, name, d, 0) or 0.0)
+    alike = [
+        s for s, (_, unit) in zip(spread, model.outputs.values(), strict=True) if unit == state.unit
+    ]
+    return max(abs(state.start), measured, *map(float, alike))

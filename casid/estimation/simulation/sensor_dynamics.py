@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.estimation.simulation import band_limited
 from casid.estimation.simulation.first_order_lags import (
     delay_held,
@@ -49,6 +49,17 @@ def due_to_past(kind: str, longest: float, N: int) -> int:
     """
     most = int(MOST_OF_LAG * N) if kind == "lag" else N
     return int(min(np.ceil(MEMORY[kind] * longest) + 1, most))
+
+
+def due_to_earlier_inputs(model: Model, N: int, Ts: float) -> BoolArray:
+    """(N, ny) the first samples of what is late or lags, due to inputs before the record."""
+    out = np.zeros((N, len(model.outputs)), dtype=bool)
+    for stage in model.stages:
+        if stage.kind in MEMORY:
+            first = due_to_past(stage.kind, model.parameters[stage.parameter].upper / Ts, N)
+            columns = slice(None) if stage.is_of_input else [*model.outputs].index(stage.channel)
+            out[:first, columns] = True
+    return out
 
 
 GROUP = 8

@@ -33,7 +33,7 @@ def fit_of_short_horizons(
     where another fit has ended, and where no fit over the shortest horizon is found.
     """
     c, records = criterion, range(len(criterion.data))
-    states = [v.name for v in c.variables if v.source in c.model.states]
+    states = [c.names[i] for i in c.initial_states]
     if max(c.parts(e) for e in records) == 1 or all(c.unknowns.is_given(n) for n in states):
         return None
     rate = growth_rate(c)

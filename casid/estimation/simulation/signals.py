@@ -122,6 +122,29 @@ def output_spread(data: Sequence[Signals]) -> Array:
     return total
 
 
+def window_cuts(N: int, window: int) -> Array:
+    """(windows + 1,) where windows of about `window` samples begin, and N."""
+    return np.linspace(0, N, max(N // window, 1) + 1).astype(int)
+
+
+def require_samples_for_segments(data: Sequence[Signals], segments: int, states: int) -> None:
+    """Refuse records with fewer samples than their segments have initial states.
+
+    Raises
+    ------
+    DataError
+        With the number of segments that a record may have.
+    """
+    per_segment = max(states, 1)
+    for d in data:
+        if segments > 1 and segments * per_segment >= d.N:
+            raise DataError(
+                f"{d.name}: {d.N} samples cannot be cut into {segments} segments, each of "
+                f"which has {per_segment} initial states to estimate; give {d.N // 100 + 1} "
+                "segments or so"
+            )
+
+
 def input_columns(model: Model, record: Record) -> Array:
     """(N, nu) what a record has of the inputs of `model`, generated ones by the record's clock.
 

@@ -26,27 +26,29 @@ from casid.estimation.simulation.measured_states import (
     measured_output,
     measured_states,
     output_equations,
+    state_size,
 )
 from casid.estimation.simulation.own_instants import at_own_instants
 from casid.estimation.simulation.sensor_dynamics import (
     MEMORY,
     Before,
-    due_to_past,
+    due_to_earlier_inputs,
     prepared_inputs,
     through_sensor,
 )
-from casid.estimation.simulation.signals import Signals, output_spread, signals_of
+from casid.estimation.simulation.signals import (
+    Signals,
+    output_spread,
+    require_samples_for_segments,
+    signals_of,
+    window_cuts,
+)
 from casid.estimation.simulation.simulator import Simulator, placed
 from casid.estimation.unknowns import LastOf, LastPoints, Unknowns, Variable
 from casid.grouping import Grouped
 from casid.model.model import Model
 
 Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> same shape
-
-
-def window_cuts(N: int, window: int) -> Array:
-    """(windows + 1,) where windows of about `window` samples begin, and N."""
-    return np.linspace(0, N, max(N // window, 1) + 1).astype(int)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +123,12 @@ class SimulationError:
             other.data.append(replace(d, used=d.used & early[:, None]))
         return other
 
+    def whitened(self, whiten: Whitener | None) -> SimulationError:
+        """The same criterion under another whitening."""
+        other = copy.copy(self)
+        other.whiten = whiten
+        return other
+
     def built(self, key: object, build: Callable[[], Any]) -> Any:
         """What is built of the model and the steps alone, once for all records."""
         if key not in self._built:
@@ -142,7 +150,7 @@ class SimulationError:
         self.experiments = list(experiments)
         self.data = [signals_of(model, e) for e in experiments]
         self.whiten = whiten
-        self._refuse_more_segments_than_samples()
+        require_samples_for_segments(self.data, self.segments, len(model.states))
         self.unknowns = Unknowns(model, [(d.name, d.known) for d in self.data], own, start)
         self.free, self.own = self.unknowns.free, self.unknowns.own
         pinned = {p.name: p.lower for p in model.parameters.values() if p.lower == p.upper}
@@ -161,7 +169,8 @@ class SimulationError:
         self.spread = output_spread(self.data)
         self.weights = 1 / self.spread if weights is None else np.asarray(weights, float)
         self._as_read = [replace(d, used=d.used.copy()) for d in self.data]
-        self._burn()
+        for d in self.data:
+            d.used[due_to_earlier_inputs(model, d.N, d.Ts)] = False
         self._index: list[list[Array]] = []  # per experiment and segment: (nv,) variable or -1
         self._cuts: list[Array] = []
         self._sizes: dict[str, float] = {}  # of states where parts of records begin
@@ -172,33 +181,7 @@ class SimulationError:
         if self.segments == 1 and any(stage.kind in MEMORY for stage in model.stages):
             self._bound_initial_states()
 
-    def _refuse_more_segments_than_samples(self) -> None:
-        per_segment = max(len(self.model.states), 1)
-        for d in self.data:
-            if self.segments > 1 and self.segments * per_segment >= d.N:
-                raise DataError(
-                    f"{d.name}: {d.N} samples cannot be cut into {self.segments} segments, each of "
-                    f"which has {per_segment} initial states to estimate; give {d.N // 100 + 1} "
-                    "segments or so"
-                )
-
     # -- the variables -----------------------------------------------------------------------
-
-    def _burn(self) -> None:
-        """Leave out the first samples of what is late or lags, due to earlier inputs."""
-        for d in self.data:
-            d.used[self.due_to_earlier(d)] = False
-
-    def due_to_earlier(self, d: Signals) -> Array:
-        """(N, ny) the first samples of what is late or lags, due to earlier inputs."""
-        out = np.zeros(d.used.shape, dtype=bool)
-        for stage in self.model.stages:
-            if stage.kind in MEMORY:
-                upper = self.model.parameters[stage.parameter].upper
-                first = due_to_past(stage.kind, upper / d.Ts, d.N)
-                columns = slice(None) if stage.is_of_input else self.outputs.index(stage.channel)
-                out[:first, columns] = True
-        return out
 
     def _bound_initial_states(self) -> None:
         """Bound the initial states, which only samples that are left out may determine.
@@ -217,13 +200,8 @@ class SimulationError:
                         self.variables[i] = replace(v, lower=lower, upper=upper)
 
     def _state_scale(self, name: str) -> float:
-        model, state = self.model, self.model.states[name]
-        guess = measured_output(model, name, self.data[0], 0)
-        sizes = [abs(state.start), abs(guess or 0.0), self._sizes.get(name, 0.0)]
-        for i, (_, unit) in enumerate(model.outputs.values()):
-            if unit == state.unit:
-                sizes.append(float(self.spread[i]))
-        return max(sizes) or 1.0
+        size = state_size(self.model, name, self.data[0], self.spread)
+        return max(size, self._sizes.get(name, 0.0)) or 1.0
 
     def _lay_out(self) -> None:
         unknowns = self.unknowns
@@ -298,6 +276,12 @@ class SimulationError:
     def starts_anew(self, experiment: int) -> Array:
         """(parts - 1,) the samples at which the simulation of one experiment starts anew."""
         return np.asarray(self._cuts[experiment][1:-1])
+
+    @property
+    def initial_states(self) -> tuple[int, ...]:
+        """Places of initial states among the variables."""
+        states = self.model.states
+        return tuple(i for i, v in enumerate(self.variables) if v.source in states)
 
     @property
     def n_constraints(self) -> int:

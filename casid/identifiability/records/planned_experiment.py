@@ -78,8 +78,7 @@ class Planned:
     @property
     def is_state(self) -> Array:
         """(n,) bool, True at initial states."""
-        states = self.criterion.model.states
-        return np.array([v.source in states for v in self.criterion.variables], dtype=bool)
+        return np.isin(np.arange(len(self.criterion.variables)), self.criterion.initial_states)
 
     def unit(self, i: int) -> str:
         """SI unit of variable `i`."""

@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.diagnosis.evidence.fit_points import moved, with_states_anew
+from casid.diagnosis.evidence.fit_points import moved
 from casid.diagnosis.evidence.prewhitening import (
     Weighing,
     Weighted,
@@ -22,6 +22,7 @@ from casid.diagnosis.search.disturbance_price import under_likelier_disturbance
 from casid.diagnosis.thresholds import RESTARTS
 from casid.estimation.noise import error_over_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.initial_state import with_states_anew
 from casid.estimation.simulation.minimization import Fit
 
 TS, N = 0.2, 2000
