@@ -10,10 +10,7 @@ from scipy.special import gammainc, gammaincinv
 from scipy.stats import norm
 
 from casid.arrays import Array
-
-BEYOND = 4.0
-"""Standard deviations of a difference of white noise, beyond which a step is in it: by chance one
-of 16 000 is."""
+from casid.estimation.errors_in_variables.thresholds import CHANNEL_FLOOR
 
 
 def is_held(records: Sequence[Array]) -> bool:
@@ -44,7 +41,7 @@ def _between_steps(records: Sequence[Array]) -> float:
     found = 0.0
     while len(size):
         found = float(np.median(size)) / norm.ppf(0.75)
-        within = size[size <= BEYOND * found]
+        within = size[size <= CHANNEL_FLOOR.beyond * found]
         if len(within) == len(size):
             break
         size = within

@@ -122,10 +122,10 @@ def noise_response(
     samples = int(np.median(np.diff([0, *criterion.starts_anew(experiment), d.N])))
     cross = windowed_spectra(_entering(means, enters), samples, criterion.weights, omega)
     cross *= np.einsum("fi,fk,fj->fikj", sensors, sensors.conj(), own**2)
-    return _with_spectra(found, cross)
+    return with_windowed_spectra(found, cross)
 
 
-def _with_spectra(found: Response, cross: Array) -> Response:
+def with_windowed_spectra(found: Response, cross: Array) -> Response:
     """The response with these spectra in the place of products of its gains."""
     assert found.gain is not None
     gain2 = np.einsum("fiij->fij", cross).real

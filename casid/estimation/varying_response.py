@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
+from casid.estimation.errors_in_variables.thresholds import VARYING_RESPONSE
 from casid.estimation.input_noise_floor import input_noise_floor
 from casid.estimation.noise import estimate_noise
 from casid.estimation.noise_model import NoiseModel
@@ -23,16 +24,11 @@ from casid.estimation.noise_response import Steps, may_vary, multiplied_inputs, 
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_innovations import smoothed_sources
 from casid.estimation.varying_variances import (
-    NOTICEABLE,
     filters_along,
     is_white,
     weighted,
     with_likeliest_variances,
 )
-
-LIKELIER = 5.0
-"""Units of log-likelihood by which the residual has to be likelier: ends of a record, which the
-two do not begin alike, and sampled spectra make a few."""
 
 
 def with_varying_response(
@@ -82,7 +78,7 @@ def with_varying_response(
         found = with_likeliest_variances(found, path, criterion, residuals)
         least = _misfit(found, criterion, residuals, states)
     average = _misfit(noise, criterion, residuals, states)
-    return found if least < average - LIKELIER else noise
+    return found if least < average - VARYING_RESPONSE.likelier else noise
 
 
 def _followed(
@@ -181,5 +177,6 @@ def _noisy_inputs(noise: NoiseModel, criterion: SimulationError) -> dict[str, fl
     return {
         name: noise.source_sd[name]
         for name in multiplied_inputs(criterion)
-        if inputs[name].kind == "measured" and noise.makes(name, NOTICEABLE, criterion.data)
+        if inputs[name].kind == "measured"
+        and noise.makes(name, VARYING_RESPONSE.noticeable, criterion.data)
     }

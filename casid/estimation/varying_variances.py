@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.estimation.errors_in_variables.thresholds import VARYING_RESPONSE
 from casid.estimation.noise import known_sources
 from casid.estimation.noise_model import NoiseModel, Variance
 from casid.estimation.noise_response import Steps, joined_steps
@@ -25,13 +26,6 @@ from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.varying_innovations import VaryingInnovations, varying_innovations
 from casid.estimation.whittle_scoring import At, impossible, minimum
-
-DIFFERENCE = 1e-4
-"""Change of the logarithm of a variance over which innovations are differentiated."""
-BY_CHANCE = 3.0
-"""Standard deviations by which the mean square of white noise may differ from one."""
-NOTICEABLE = 0.01
-"""Of the residual's power, from which on a source counts."""
 
 
 def filters_along(
@@ -72,7 +66,9 @@ def is_white(noise: NoiseModel, data: Sequence[Signals], residuals: Sequence[Arr
     with np.errstate(all="ignore"):
         squares = sum(np.sum(noise.whiten(c, e) ** 2, axis=(0, 2)) for e, c in enumerate(columns))
     count = sum(d.used.sum(axis=0) for d in data)
-    return bool(np.all(np.abs(squares - count) <= BY_CHANCE * np.sqrt(2.0 * count)))
+    return bool(
+        np.all(np.abs(squares - count) <= VARYING_RESPONSE.by_chance * np.sqrt(2.0 * count))
+    )
 
 
 def with_likeliest_variances(
@@ -124,7 +120,9 @@ class _Likelihood:
         outputs, stated = criterion.outputs, known_sources(noise.known, criterion.model)
         self.outputs = [i for i, n in enumerate(outputs) if n not in noise.known]
         self.sources = [
-            n for n in noise.source_sd if n not in stated and noise.makes(n, NOTICEABLE, self.data)
+            n
+            for n in noise.source_sd
+            if n not in stated and noise.makes(n, VARYING_RESPONSE.noticeable, self.data)
         ]
         self.keys: list[Variance] = [("output", outputs[i]) for i in self.outputs]
         self.keys += [("source", n) for n in self.sources]
@@ -147,15 +145,17 @@ class _Likelihood:
         """Value, gradient and information at a point."""
         n = len(z)
         here = self._innovations(z)
-        beside = [self._innovations(z + DIFFERENCE * step) for step in np.eye(n)]
+        beside = [self._innovations(z + VARYING_RESPONSE.difference * step) for step in np.eye(n)]
         value, gradient, information = 0.0, np.zeros(n), np.zeros((n, n))
         for k in range(len(self.data)):
             if not all(beside) or not here:
                 return impossible(n)
             e, logs = here[k]
             value += 0.5 * float(np.sum(e**2)) - float(np.sum(logs))
-            de = np.array([(b[k][0] - e).ravel() for b in beside]) / DIFFERENCE
-            dlogs = np.array([(b[k][1] - logs).ravel() for b in beside]) / DIFFERENCE
+            de = np.array([(b[k][0] - e).ravel() for b in beside]) / VARYING_RESPONSE.difference
+            dlogs = (
+                np.array([(b[k][1] - logs).ravel() for b in beside]) / VARYING_RESPONSE.difference
+            )
             gradient += de @ e.ravel() - dlogs.sum(axis=1)
             information += de @ de.T + dlogs @ dlogs.T
         is_finite = np.isfinite(value) and np.all(np.isfinite(information))

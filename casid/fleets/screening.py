@@ -30,7 +30,10 @@ from casid.data.arguments import in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.corrupted_samples import without_corrupted
-from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
+from casid.diagnosis.evidence.gain_under_disturbance import (
+    largest_gain_under_disturbance,
+    unwhitened,
+)
 from casid.diagnosis.evidence.prewhitening import (
     Weighing,
     Weighted,
@@ -233,7 +236,7 @@ class Screen:
         passing = 0.5 * float(
             chdtri(1, SCREENING.share * self.level / (2 * max(len(table.tested), 1)))
         )
-        gain = gain_beside(
+        gain = largest_gain_under_disturbance(
             bare,
             self._columns(unwhitened(bare), x),
             best,

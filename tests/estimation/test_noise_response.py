@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
-from casid.estimation.noise_response import Response, _with_spectra
+from casid.estimation.noise_response import Response, with_windowed_spectra
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-200, 1e-160, 1e-3, 1e200])
@@ -23,7 +23,7 @@ def test_spectra_of_windows_keep_the_phase_of_the_response_and_replace_its_magni
     spectrum = np.array([4.0, 1e-12]).reshape(2, 1, 1, 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = _with_spectra(own, spectrum.astype(complex))
+        found = with_windowed_spectra(own, spectrum.astype(complex))
     assert found.gain is not None
     assert np.abs(found.gain[:, 0, 0]) == pytest.approx([2.0, 1e-6])
     assert found.gain2[:, 0, 0] == pytest.approx([4.0, 1e-12])

@@ -14,7 +14,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
+from casid.diagnosis.evidence.gain_under_disturbance import (
+    largest_gain_under_disturbance,
+    unwhitened,
+)
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable
 from casid.diagnosis.evidence.signal_sizes import window_of
@@ -132,7 +135,9 @@ class _Gains:
         columns = extended_columns(self.plain, effects)
         needed = 0.5 * price_of(cost, self.at.criterion.n_samples, tested)
         chosen = range(len(columns.effects))
-        gain = gain_beside(self.at, columns, chosen, known=self.known, passing=needed, under=under)
+        gain = largest_gain_under_disturbance(
+            self.at, columns, chosen, known=self.known, passing=needed, under=under
+        )
         return gain > needed
 
 

@@ -8,6 +8,7 @@ from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _TEST = "tests/estimation/errors_in_variables/test_input_noise.py"
+_VARYING = "tests/estimation/test_varying_variances.py"
 _FAR = "tests/estimation/errors_in_variables/test_total_least_squares.py"
 
 
@@ -119,12 +120,54 @@ class VarianceSlope:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class ChannelFloor:
+    """The white noise of a channel by its own spectrum."""
+
+    beyond: float = _is(
+        4.0,
+        "standard deviations of a difference of white noise, beyond which a step is in it: by "
+        "chance one of 16 000 is",
+        "tests/estimation/test_noise_floor.py",
+        "the normal distribution",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class VaryingResponse:
+    """When noise of inputs whose response varies is taken at every sample, and its variances."""
+
+    noticeable: float = _is(
+        0.01, "of the residual's power, from which on a source counts", _VARYING
+    )
+    likelier: float = _is(
+        5.0,
+        "units of log-likelihood by which the residual has to be likelier than under an average "
+        "response: ends of a record, which the two do not begin alike, and sampled spectra make a "
+        "few",
+        _VARYING,
+    )
+    by_chance: float = _is(
+        3.0,
+        "standard deviations by which the mean square of white noise may differ from one",
+        _VARYING,
+        "the normal distribution: 1 of 370 by chance",
+    )
+    difference: float = _is(
+        1e-4,
+        "change of the logarithm of a variance over which innovations are differentiated",
+        _VARYING,
+    )
+
+
 REMOVAL = Removal()
 FILLINGS = Fillings()
 FAR_ROOT = FarRoot()
 VARIANCE_SLOPE = VarianceSlope()
+CHANNEL_FLOOR = ChannelFloor()
+VARYING_RESPONSE = VaryingResponse()
 
-GROUPS = (REMOVAL, FILLINGS, FAR_ROOT, VARIANCE_SLOPE)
+GROUPS = (REMOVAL, FILLINGS, FAR_ROOT, VARIANCE_SLOPE, CHANNEL_FLOOR, VARYING_RESPONSE)
 
 TABLE = entries(*GROUPS)
 """All of them."""

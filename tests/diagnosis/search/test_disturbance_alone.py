@@ -10,7 +10,10 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence import prewhitening
-from casid.diagnosis.evidence.gain_beside import gain_beside, unwhitened
+from casid.diagnosis.evidence.gain_under_disturbance import (
+    largest_gain_under_disturbance,
+    unwhitened,
+)
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.search.disturbance_alone import disturbance_alone
@@ -55,7 +58,10 @@ def assert_exact_instants_gain(bare: Weighted, start: Weighted, *, rough: Effect
     columns = extended_columns(replace(at.fit, criterion=unwhitened(at)), [rough, exact])
     needed = 0.5 * price_of(exact.cost, start.criterion.n_samples, 50)
     gains = [
-        gain_beside(at, columns, [i], known={}, passing=needed, under=start.noise) for i in (0, 1)
+        largest_gain_under_disturbance(
+            at, columns, [i], known={}, passing=needed, under=start.noise
+        )
+        for i in (0, 1)
     ]
     assert gains[0] < needed < gains[1]
 
@@ -228,7 +234,7 @@ def test_a_step_gains_most_of_what_the_refit_of_an_effect_gains_beside_a_sea(see
     at = replace(bare, fit=bare.unbiased or bare.fit)
     drag = quadratic_damping(start.model, "moment")
     plain = extended_columns(replace(at.fit, criterion=unwhitened(at)), [drag])
-    gain = gain_beside(at, plain, [0], known={}, passing=1.0)
+    gain = largest_gain_under_disturbance(at, plain, [0], known={}, passing=1.0)
     model, _ = drag.extended(start.model)
     beside = search.weighing.with_disturbances()
     fit = fit_model(model, search.weighing.experiments, FitSettings(starts=1))

@@ -31,7 +31,7 @@ def unwhitened(bare: Weighted) -> SimulationError:
     return at.of_records(at.experiments, weights=at.weights, start=bare.fit.values)
 
 
-def gain_beside(
+def largest_gain_under_disturbance(
     bare: Weighted,
     plain: Columns,
     effects: Sequence[int],
