@@ -948,7 +948,7 @@ class Rounds:
     record_alpha: float = _is(
         0.01,
         "level below which sizes are called different between records",
-        f"{TESTS}/test_record_specific.py",
+        f"{TESTS}/test_sizes_by_record.py",
     )
     residual_share: float = _is(
         0.2,

@@ -384,52 +384,6 @@ def is_si(unit: str) -> bool:
     return parse_unit(unit).is_si
 
 
-_QUANTITIES = {
-    "N": ("force", "F"),
-    "N m": ("torque", "tau"),
-    "W": ("heat flow", "Q"),
-    "V": ("voltage", "V"),
-    "A": ("current", "I"),
-    "m^3/s": ("flow", "q"),
-    "kg/s": ("mass flow", "q"),
-    "Pa": ("pressure", "p"),
-    "mol/s": ("amount flow", "q"),
-}
-"""What a term of a balance is, and the letter that it has in equations, by its SI unit."""
-
-_NO_QUANTITY = "term", "c"
-
-
-def quantity_of(unit: str) -> str:
-    """What a quantity in `unit` is called in a sentence: `force`, `heat flow`, else `term`.
-
-    Raises
-    ------
-    UnitError
-        As `parse_unit`.
-    """
-    return _quantity(unit)[0]
-
-
-def letter_of(unit: str) -> str:
-    """The letter of a quantity in `unit` in equations: `F` of a force, else that of a coefficient.
-
-    Raises
-    ------
-    UnitError
-        As `parse_unit`.
-    """
-    return _quantity(unit)[1]
-
-
-def _quantity(unit: str) -> tuple[str, str]:
-    own = parse_unit(unit)
-    for text, found in _QUANTITIES.items():
-        if parse_unit(text).dimension == own.dimension:
-            return found
-    return _NO_QUANTITY
-
-
 def unit_of_dimension(dimension: Dimension, *, is_rotation: bool = False) -> str:
     """The customary SI unit of a dimension: `N`, `W`, `V`; base units where there is none.
 

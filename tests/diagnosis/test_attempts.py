@@ -67,16 +67,16 @@ def test_faults_and_interrupts_are_not_taken_for_numbers(fault):
 def test_candidates_that_break_down_leave_the_one_that_does_not_to_be_named(monkeypatch):
     """All refits but that of the drag fail: it is named, and notes say what failed."""
     record = roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
-    compensated, broken = Weighing.compensated, set()
+    compensated_criterion, broken = Weighing.compensated_criterion, set()
 
     def breaking(self, at, criterion, x):
         _, _, kind = criterion.model.name.partition(" + ")
         if kind not in ("", "quadratic_damping"):
             broken.add(kind)
             raise np.linalg.LinAlgError("SVD did not converge")
-        return compensated(self, at, criterion, x)
+        return compensated_criterion(self, at, criterion, x)
 
-    monkeypatch.setattr(Weighing, "compensated", breaking)
+    monkeypatch.setattr(Weighing, "compensated_criterion", breaking)
     found = casid.diagnose(roll_decay.problem, record, advise=False, max_causes=1)
     assert found.causes[0].kind == "quadratic_damping"
     assert broken

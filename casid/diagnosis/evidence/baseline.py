@@ -29,7 +29,7 @@ from casid.diagnosis.evidence.sufficiency import (
     why_undecided,
     why_uninformative,
 )
-from casid.diagnosis.evidence.unstable_records import in_windows
+from casid.diagnosis.evidence.unstable_records import records_in_windows
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
@@ -151,7 +151,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     say = settings.progress
     split, little = holding_out_measured(split, list(problem.model.outputs))
     say("fit the model as it is")
-    split, of_windows, begun = in_windows(problem.model, split, settings.fit, say)
+    split, of_windows, begun = records_in_windows(problem.model, split, settings.fit, say)
     fit, negated, sizes = _with_signs_as_recorded(problem, split, settings, begun)
     as_recorded: Fit | None = None
     if sizes is not None:
@@ -160,12 +160,12 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         as_recorded, split = _negated(problem, split, settings, negated, fit)
     if fit is None or negated is not None:
         fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
-    split, fit = _stepped(problem, split, settings, fit)
-    split, fit, gaps = _levelled(problem, split, settings, fit)
-    split, fit, sized = _sized(problem, split, settings, fit)
+    split, fit = _with_steps_placed(problem, split, settings, fit)
+    split, fit, gaps = _with_levels_filled(problem, split, settings, fit)
+    split, fit, sized = _with_growing_noise(problem, split, settings, fit)
     corrupted, split, fit, less = _cleaned(problem, split, settings, fit)
     if corrupted.count:  # what a faulty sensor had bent the fit by, steps were placed against
-        split, fit = _stepped(problem, split, settings, fit)
+        split, fit = _with_steps_placed(problem, split, settings, fit)
     fit = weighted_by_errors(fit, settings.fit)
     between = steps_between_rows(fit, settings.alpha)
     channels, notes = channels_held_out_too(varying_channels(problem, split.fitted), split.apart)
@@ -208,7 +208,7 @@ def _weighed(
     if fine is fit.criterion:
         return fit, start
     finer = replace(settings, fit=replace(settings.fit, substeps=fine.substeps))
-    fit = _again(problem, split, finer, replace(fit, criterion=fine))
+    fit = _refitted(problem, split, finer, replace(fit, criterion=fine))
     return fit, weighing.weigh(problem.model, fit)
 
 
@@ -225,10 +225,10 @@ def _cleaned(
         f"leave out {count_text(corrupted.count, 'clipped or outlying sample')} and fit again"
     )
     split, note = holding_out_measured(split, list(problem.model.outputs))
-    return corrupted, split, _again(problem, split, settings, fit), note
+    return corrupted, split, _refitted(problem, split, settings, fit), note
 
 
-def _sized(
+def _with_growing_noise(
     problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
 ) -> tuple[Split, Fit, str]:
     """The records with sizes of noise that grows with the reading, their fit, and a note on it.
@@ -238,14 +238,14 @@ def _sized(
 
     def again(records: Split, near: Fit) -> Fit:
         settings.progress("weigh samples by noise that grows with the reading")
-        return _again(problem, records, settings, near)
+        return _refitted(problem, records, settings, near)
 
     split, fit, names = fitted_in_sizes(fit, split, problem.noise, again)
     average = ", and RMS errors are those of samples with noise of average size"
     return split, fit, sized_noise_text(names) + average if names else ""
 
 
-def _stepped(
+def _with_steps_placed(
     problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
 ) -> tuple[Split, Fit]:
     """The records with steps of held inputs placed in gaps, and their fit."""
@@ -253,10 +253,10 @@ def _stepped(
     if not moved:
         return split, fit
     settings.progress(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
-    return split, _again(problem, split, settings, fit)
+    return split, _refitted(problem, split, settings, fit)
 
 
-def _levelled(
+def _with_levels_filled(
     problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
 ) -> tuple[Split, Fit, int]:
     """The records with levels in the gaps of controlled inputs, their fit, and how many gaps."""
@@ -267,7 +267,7 @@ def _levelled(
             break
         gaps = count_text(count, "gap")
         settings.progress(f"estimate the levels of held inputs in {gaps} and fit again")
-        fit = _again(problem, split, settings, fit)
+        fit = _refitted(problem, split, settings, fit)
     return split, fit, count
 
 
@@ -286,7 +286,7 @@ def _with_signs_as_recorded(
     return fit, wrong_sign(problem, split.fitted, settings.fit, reported=fit, alpha=alpha), None
 
 
-def _again(problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit) -> Fit:
+def _refitted(problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit) -> Fit:
     """The fit to changed records, from what it was."""
     again = replace(settings.fit, starts=1, substeps=fit.criterion.substeps)
     # Where they ended the rank may be poor, which the first fit was judged by at its start.

@@ -259,7 +259,7 @@ class Weighing:
         return replace(at, fit=moved(at.fit, criterion, x), noise=at.full)
 
     def _without_bias(self, found: Weighted) -> Weighted | None:
-        """The root of (2) in `scores`, with the noise found there; None if none is near.
+        """The root of (2) in `score_tests`, with the noise found there; None if none is near.
 
         Where much is unexplained, the noise meanwhile is that of sensors and inputs alone. Given up
         where several steps come no nearer (a bound holds a parameter back, say), or so slowly that
@@ -396,8 +396,8 @@ class Weighing:
         largest = {n: self.known_noise.get(n, floors[n]) for n in measured}
         return {**dict.fromkeys(measured, 0.0), **noise.of_inputs(largest)}
 
-    def compensated(self, at: Weighted, criterion: SimulationError, x: Array) -> float:
-        """J of (1) in `refitting` at `x`: the criterion less what input noise alone gives to it."""
+    def compensated_criterion(self, at: Weighted, criterion: SimulationError, x: Array) -> float:
+        """J of (1) in `joint_refit` at `x`: the criterion less what input noise alone gives."""
         value = criterion.evaluate(x).value
         names = list(criterion.model.inputs)
         sd = np.array([at.input_sd.get(n, 0.0) for n in names])

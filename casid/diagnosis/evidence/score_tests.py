@@ -99,6 +99,7 @@ class ScoreTable:
             return self
 
         def both(p: float, one: float, other: float) -> float:
+            """Family-wise p over two families, from that of each; no less than `p` itself."""
             return float(
                 min(
                     1.0,

@@ -4,7 +4,7 @@ A place is a balance, where the signal is a force and acts along the linearised 
 `linearised_path`), or an output, where it is added to what the sensor says. Signals are functions
 of what is known (`force_functions`). Regressing the whitened residual on their signatures, off the
 baseline's own tangent and less what the inputs' noise gives to signature and residual alike ((1) in
-`scores`), shows on what the missing part depends.
+`score_tests`), shows on what the missing part depends.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ class Regression:
         """How far `misfit` is from zero by chance: sqrt(2 M) of M squares."""
         return float(np.sqrt(2.0 * len(self.e)))
 
-    def seen(self) -> tuple[Array, Array]:
+    def explained_and_energy(self) -> tuple[Array, Array]:
         """Of each group, what it explains and its signatures' energy, both off the tangent, (G,).
 
         The first is a sum of squares less the baseline's part, for what the noise leaves of each.
@@ -241,7 +241,7 @@ class Regression:
         The covariance is that of what the best group leaves: where much is missing, the missing
         part itself would else pass for noise. Each sample counts as foreseen from the others
         (MacKinnon and White, J. Econometrics 29 (1985) 305-325, their jackknife). Family-wise by
-        min-p draws, as in `scores`.
+        min-p draws, as in `score_tests`.
 
         Parameters
         ----------

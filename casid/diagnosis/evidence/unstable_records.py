@@ -42,7 +42,7 @@ from casid.model.quantities import quantity_text
 from casid.time_limit import seconds_left, until, wall_clock
 
 
-def in_windows(
+def records_in_windows(
     model: Model, split: Split, settings: FitSettings, say: Callable[[str], None]
 ) -> tuple[Split, str, dict[str, float]]:
     """The records in windows where the model is unstable, a note on them, and where to begin.
@@ -58,7 +58,7 @@ def in_windows(
     if whole is not None and not (is_poor(whole) or _runs_away(whole, split)):
         return split, "", {}
     criterion, start = _nearer(criterion, settings, say)
-    window = _held(criterion, start, window_for(criterion))
+    window = _longest_informative_window(criterion, start, window_for(criterion))
     seconds = quantity_text(window * criterion.data[0].Ts, "s")
     apart = quantity_text(1 / growth_rate(criterion), "s")
     say(f"simulate it in windows of {seconds}")
@@ -116,7 +116,9 @@ def _nearer(
     return there, values
 
 
-def _held(criterion: SimulationError, start: Mapping[str, float], window: int) -> int:
+def _longest_informative_window(
+    criterion: SimulationError, start: Mapping[str, float], window: int
+) -> int:
     """The window, halved while simulations over it leave the record and so show no parameter.
 
     A model that lacks something may seem to grow more slowly than what was measured does.

@@ -4,7 +4,7 @@ Under a noise that is known they are ranked by
 
     gain - k log N                                                                             (1)
 
-with the gain of `refitting`; where the noise model absorbs misfit, by the remainder of each.
+with the gain of `joint_refit`; where the noise model absorbs misfit, by the remainder of each.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ class Candidate:
     names: tuple[str, ...]
     model: Model
     fit: Fit
-    gain: float  # (1) in `refitting`
+    gain: float  # (1) in `joint_refit`
     cost: float  # k log N
     wald: float  # robust z of the first parameter
     score: Score | None = None
@@ -77,7 +77,7 @@ class Adopted:
     instant_errors: tuple[float, ...] = ()
 
     @property
-    def contenders(self) -> tuple[Candidate, ...]:
+    def rivals_and_near_ones(self) -> tuple[Candidate, ...]:
         """Rivals and what explains nearly as much, the most likely first."""
         rivals = tuple(r.candidate for r in self.rivals)
         known = {c.effect.key for c in rivals}

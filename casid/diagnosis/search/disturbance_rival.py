@@ -128,7 +128,7 @@ def weighed_against_disturbances(
         bare = again.weighing.from_disturbance_of(bare, own)
         start, nothing = replace(start, beside=bare), score_of(bare)
         found = replace(found, at=replace(found.at, beside=own))
-        least = _beside(again.weighing, found, own, bare)
+        least = _minus_log_likelihood_beside(again.weighing, found, own, bare)
         score = 2 * least + _charge(bare, found.adopted, search)
         errors = _errors(baseline.fit, fit, baseline.split)
         may_be_random = not (is_predicted(*errors) or is_more_than_noise(bare, again))
@@ -190,7 +190,9 @@ def leaves_disturbance_alone(search: Search, beside: Beside) -> bool:
     return disturbance_alone(search, start, fit, causes) is not None
 
 
-def _beside(weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted) -> float:
+def _minus_log_likelihood_beside(
+    weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted
+) -> float:
     """Minus the log-likelihood of the extended model under what is left for a disturbance.
 
     It has the model as it is (`bare`) in it, and is no less likely: where the disturbance that its
@@ -238,6 +240,7 @@ def _each_beside(
     is_sound = Soundness(base, split)
 
     def why(cause: Adopted, fit: Fit, without: Fit) -> str:
+        """Why a cause is not needed beside a disturbance, or an empty text."""
         if cause not in doubted or _foresees(without, fit, split) or not is_sound(without):
             return ""
         beside, instead = search.under_disturbance(fit), search.under_disturbance(without)
@@ -289,7 +292,7 @@ def _charged(
         return found
     if beside is None and found.at.noise_absorbs_misfit:
         own = found.at.beside or search.under_disturbance(found.fit)
-        beside = _beside(search.weighing.with_disturbances(), found, own, bare)
+        beside = _minus_log_likelihood_beside(search.weighing.with_disturbances(), found, own, bare)
     left = minus_log_likelihood(found.at, bare.criterion) if beside is None else beside
     gain = minus_log_likelihood(bare) - left
     effects = [a.candidate.effect for a in found.adopted]

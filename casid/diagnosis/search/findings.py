@@ -22,11 +22,11 @@ from casid.diagnosis.search.first_cause import leaves_noise, seen_beside_disturb
 from casid.diagnosis.search.instant_errors import with_instant_errors
 from casid.diagnosis.search.promotion import with_likelier_rivals
 from casid.diagnosis.search.reconsideration import reconsidered
-from casid.diagnosis.search.record_specific import Specific, record_specific
 from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.search.simulation_errors import Soundness
+from casid.diagnosis.search.sizes_by_record import SizesByRecord, with_sizes_by_record
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import BUDGET
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
@@ -53,7 +53,7 @@ class Findings:
     at: Weighted
     extended_fit: Fit | None = None
     adopted: tuple[Adopted, ...] = ()
-    specific: tuple[Specific, ...] = ()
+    specific: tuple[SizesByRecord, ...] = ()
     remainders: tuple[Adopted, ...] = ()
     corrected: Corrected | None = None
 
@@ -91,7 +91,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
     if not found.adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
     found = last.by_likelier_rivals(last.judged_again(found))
-    specific, found = last.record_specific(found)
+    specific, found = last.with_sizes_by_record(found)
     extended = found.fit or own_fit
     corrected = last.without_input_noise(problem, extended)
     if corrected is not None and extended is not None:
@@ -149,14 +149,14 @@ class _LastSteps:
             return found
         return likelier
 
-    def record_specific(self, found: Adoption) -> tuple[tuple[Specific, ...], Adoption]:
+    def with_sizes_by_record(self, found: Adoption) -> tuple[tuple[SizesByRecord, ...], Adoption]:
         """Causes whose size differs from record to record, and the fit with sizes of their own."""
         fit, split = found.fit, self.baseline.split
         if fit is None or fit.criterion.whiten is not None or len(split.fitted) < 2:
             return (), found
         what, of = "test whether one size of each cause explains every record", self.settings
         of.progress(what)
-        own = partial(record_specific, self.baseline.weighing, found.adopted, fit, found.at)
+        own = partial(with_sizes_by_record, self.baseline.weighing, found.adopted, fit, found.at)
         apart = self.search.attempts.attempt(f"the {what}", lambda: own(split, of.fit))
         if apart is None:
             return (), found

@@ -16,7 +16,7 @@ best there and all else linear:
     sd = max |t - t^| / z  over  S(t) - min S <= z^2 s^2 f,    z = 1.96                       (2)
 
 (Bates and Watts 1988, section 6.1), s^2 the mean square of the residual and f the variance by (1)
-in units of that by white noise: a residual that remembers tells less.
+in units of that by white noise: an autocorrelated residual determines it less.
 """
 
 from __future__ import annotations

@@ -231,8 +231,8 @@ class Refitting:
         else:
             base = self.weighing.criterion(at.model, at.noise, at.fit.values, at.criterion)
             use_samples_of(base, criterion)
-            before = self.weighing.compensated(at, base, base.start)
-        after = self.weighing.compensated(at, criterion, fit.x)
+            before = self.weighing.compensated_criterion(at, base, base.start)
+        after = self.weighing.compensated_criterion(at, criterion, fit.x)
         windows = sum(criterion.parts(e) - 1 for e in range(len(pairs)))
         of_windows = windows * (len(model.states) - len(at.model.states))
         return Candidate(
@@ -250,7 +250,7 @@ class Refitting:
     def value(self, at: Weighted) -> float:
         """J of a model as it was weighed; that of the last one requested is kept."""
         if self._before is None or self._before[0] is not at:
-            self._before = at, self.weighing.compensated(at, at.criterion, at.fit.x)
+            self._before = at, self.weighing.compensated_criterion(at, at.criterion, at.fit.x)
         return self._before[1]
 
     def _runs_away(self, at: Weighted, effect: Effect) -> bool:

@@ -43,7 +43,7 @@ def reconsidered(
         rivals = a.rivals
         others = [b.candidate for b in adopted if b is not a]
         if (
-            a.contenders
+            a.rivals_and_near_ones
             and judged_under_misfit
             and not at.noise_absorbs_misfit
             and not is_needed(start.model, others)
@@ -67,7 +67,7 @@ def _rivals_beside(
         cause_as_it_is(search, a.candidate, again, at),
         *(
             c
-            for b in a.contenders[: ROUNDS.rivals]
+            for b in a.rivals_and_near_ones[: ROUNDS.rivals]
             if (c := search.refitting.again(again, b, near=False)) is not None
         ),
     ]
@@ -104,7 +104,7 @@ def better_rivals(
     first = cause_as_it_is(search, last.candidate, again, at)
     found = [
         c
-        for b in last.contenders[: ROUNDS.rivals]
+        for b in last.rivals_and_near_ones[: ROUNDS.rivals]
         if (c := search.refitting.again(again, b, near=False)) is not None
     ]
     first, *found = on_common_samples([first, *found])

@@ -1,8 +1,8 @@
 """The search for causes, round by round: score every effect, then refit the best of them.
 
-Each round tests every effect against the present model (`scores`), refits the most promising
-ones jointly with all parameters under one whitening (`refitting`), places jumps in time (`jumps`)
-and ranks what was found (`comparing`). What is adopted of it, `adoption` decides.
+Each round tests every effect against the present model (`score_tests`), refits the most promising
+ones jointly with all parameters under one whitening (`joint_refit`), places jumps in time
+(`jump_times`) and ranks what was found (`alternatives`); `selection` decides what is adopted.
 """
 
 from __future__ import annotations

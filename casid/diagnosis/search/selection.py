@@ -358,7 +358,7 @@ class _Selection:
         """
         search, taken = self.search, self.adopted[-1]
         is_open = taken.before is not None and taken.before.noise_absorbs_misfit
-        if not is_open or not taken.contenders or self.at.noise_absorbs_misfit:
+        if not is_open or not taken.rivals_and_near_ones or self.at.noise_absorbs_misfit:
             return
         search.progress(
             f"compare {name_of(taken.candidate.effect)} with its rivals beside what it leaves"

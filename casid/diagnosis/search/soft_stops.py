@@ -45,6 +45,7 @@ def without_soft_stops(
     """Candidates without the soft stops that have no corner: springs that harden."""
 
     def has_corner(stop: Candidate) -> bool:
+        """True if the stop with a rounded corner, or another effect there, gains clearly less."""
         others = [c for c in found if c.effect.where == stop.effect.where and c is not stop]
         least = stop.merit - COMPARISON.strong
         if any(c.merit > least for c in others):

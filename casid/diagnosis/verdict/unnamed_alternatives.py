@@ -80,7 +80,7 @@ def unnamed_alternatives(
     near: dict[str, dict[str, tuple[float, float, float]]] = {}
     experiments = search.weighing.experiments
     for place, names, regression in regressions(start, experiments, search.recorded):
-        for name, gain, energy in zip(names, *regression.seen(), strict=True):
+        for name, gain, energy in zip(names, *regression.explained_and_energy(), strict=True):
             by = gain - cost - merit
             if by > -COMPARISON.strong:
                 near.setdefault(place, {})[name] = gain, by, energy
@@ -89,7 +89,7 @@ def unnamed_alternatives(
     for place, names, regression in regressions(
         under, experiments, search.recorded, places=tuple(near)
     ):
-        beside = dict(zip(names, regression.seen()[1], strict=True))
+        beside = dict(zip(names, regression.explained_and_energy()[1], strict=True))
         for name, (gain, by, alone) in near[place].items():
             own = float(beside[name] / alone)
             if own > JUDGING.expressed:

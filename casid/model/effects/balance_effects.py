@@ -26,7 +26,8 @@ from casid.model.effects.names import GROWS, OPPOSES
 from casid.model.effects.place import Place, a_constant, a_quantity
 from casid.model.effects.places import place_named
 from casid.model.model import Model
-from casid.model.units import is_comparable, letter_of, same_dimension, unit_quotient
+from casid.model.quantity_names import letter_of
+from casid.model.units import is_comparable, same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
 

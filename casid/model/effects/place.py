@@ -12,7 +12,8 @@ from casid.model.declarations import Balance
 from casid.model.effects.names import A_CONSTANT
 from casid.model.formula_text import formula_text
 from casid.model.model import Model
-from casid.model.units import quantity_of, same_dimension, unit_quotient
+from casid.model.quantity_names import quantity_of
+from casid.model.units import same_dimension, unit_quotient
 
 Expr = Any  # a CasADi SX expression
 

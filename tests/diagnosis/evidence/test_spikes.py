@@ -316,7 +316,7 @@ def test_progress_says_how_many_samples_are_left_out(count, said, monkeypatch):
     found, lines = SimpleNamespace(count=count), []
     monkeypatch.setattr(baseline, "without_corrupted", lambda *a, **k: (found, None))
     monkeypatch.setattr(baseline, "holding_out_measured", lambda *a: (None, ""))
-    monkeypatch.setattr(baseline, "_again", lambda *a: None)
+    monkeypatch.setattr(baseline, "_refitted", lambda *a: None)
     problem = SimpleNamespace(model=SimpleNamespace(outputs={}))
     settings = DiagnosisSettings(progress=lines.append)
     baseline._cleaned(problem, None, settings, None)

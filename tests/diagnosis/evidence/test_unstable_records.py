@@ -15,7 +15,7 @@ from casid.diagnosis.evidence import unstable_records
 from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import score_test
-from casid.diagnosis.evidence.unstable_records import in_windows
+from casid.diagnosis.evidence.unstable_records import records_in_windows
 from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.estimation.feedback import slope
@@ -131,7 +131,7 @@ def test_an_unstable_model_that_bends_to_the_fitted_part_is_simulated_in_windows
     Where nothing is missing the simulation that fits goes on as the record does.
     """
     split = split_records([casid.Experiment(upright(drag, hangs=True, N=N))], 0.3)
-    cut, note, _ = in_windows(problem().model, split, FitSettings(starts=1), lambda _: None)
+    cut, note, _ = records_in_windows(problem().model, split, FitSettings(starts=1), lambda _: None)
     assert bool(note) == (drag > 0.0)
     assert (cut.fitted[0].window > 0) == (drag > 0.0)
 
@@ -180,7 +180,7 @@ def test_a_stable_model_has_no_windows():
     m.parameters["mgl"] = casid.Parameter("mgl", "N m", -1.5)
     record = upright(N=1000)
     split = split_records([casid.Experiment(record)], 0.3)
-    found, note, start = in_windows(m, split, FitSettings(starts=1), lambda _: None)
+    found, note, start = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
     assert found is split
     assert not note
     assert not start
@@ -223,7 +223,7 @@ def test_windows_begin_where_a_fit_in_segments_ends_and_are_as_long_as_the_model
     m, record = levitated(lag=1e-4, N=1000)
     m.parameters["C"] = casid.Parameter("C", "N m^2/A^2", 8e-6, lower=1e-6, upper=1e-2)
     split = split_records([casid.Experiment(record)], 0.3)
-    cut, note, start = in_windows(m, split, FitSettings(starts=1), lambda _: None)
+    cut, note, start = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
     assert start["C"] == pytest.approx(8e-5, rel=0.01)
     rate = np.sqrt(2 * 9.81 / 0.01)
     assert cut.fitted[0].window * record.Ts == pytest.approx(INSTABILITY.per_window / rate, rel=0.1)
@@ -241,7 +241,7 @@ def test_windows_are_halved_only_while_the_record_holds_no_simulation_over_them(
     m, record = levitated(lag=1e-4, N=1000)
     monkeypatch.setattr(unstable_records, "window_for", lambda _: window)
     split = split_records([casid.Experiment(record)], 0.3)
-    cut, _, start = in_windows(m, split, FitSettings(starts=1), lambda _: None)
+    cut, _, start = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
     found = SimulationError(m, cut.fitted, start=start)
     hessian = found.evaluate(found.start).hessian
     assert rank_of(found.variables, hessian, found.start).is_full
@@ -377,7 +377,7 @@ def test_what_noise_of_an_input_leaves_is_what_initial_states_of_windows_do_not_
     by_noise = left.solution.value - expected
     assert by_noise > expected
     # Both that and its draw scatter as squares do of which each of 13 windows has two or three.
-    assert abs(weighing.compensated(at, criterion, left.x) - expected) < 0.8 * by_noise
+    assert abs(weighing.compensated_criterion(at, criterion, left.x) - expected) < 0.8 * by_noise
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
     taken = SimpleNamespace(
         candidate=SimpleNamespace(effect=effect),
         before=SimpleNamespace(noise_absorbs_misfit=True),
-        contenders=(effect,),
+        rivals_and_near_ones=(effect,),
     )
     search = SimpleNamespace(attempts=Attempts(), progress=lambda _: None)
     at = SimpleNamespace(noise_absorbs_misfit=False)

@@ -81,6 +81,7 @@ def _sharpened(
     placed: dict[float, list[Adopted]] = {}
 
     def doubled(k: float, near: Fit) -> Fit | None:
+        """The fit with 2^k times the smoothing speed; None where it needs too many steps."""
         speed = own.constants["speed"] * 2.0**k
         last = replace(adopted[i].candidate, fit=near, model=near.criterion.model)
         needed = steps_needed(last, speed)

@@ -52,6 +52,7 @@ def sharper(
     where, best = found.effect.where, found
 
     def gain_at(log_speed: float) -> float:
+        """The gain at a smoothing speed, whose refit is kept if it is the best so far."""
         nonlocal best
         effect = coulomb_friction(at.model, where, float(np.exp(log_speed)))
         again = refitting.again(at, replace(best, effect=effect))

@@ -28,7 +28,7 @@ from casid.estimation.simulation.minimization import Fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Specific:
+class SizesByRecord:
     """A cause whose size differs between records."""
 
     key: tuple[str, str]
@@ -36,14 +36,14 @@ class Specific:
     by_record: Mapping[str, Mapping[str, Estimated]]  # record -> parameter -> value
 
 
-def record_specific(
+def with_sizes_by_record(
     weighing: Weighing,
     adopted: Sequence[Adopted],
     fit: Fit,
     at: Weighted,
     split: Split,
     settings: FitSettings,
-) -> tuple[tuple[Specific, ...], Fit, Weighted]:
+) -> tuple[tuple[SizesByRecord, ...], Fit, Weighted]:
     """Causes that no one size explains, the fit with sizes of their own, and its noise.
 
     Causes are tested together, and those that one size does explain keep it. A clipping or the
@@ -71,7 +71,7 @@ def record_specific(
     if is_worse or why_worse(held_out_error(fit, split), held_out_error(apart, split)):
         return (), fit, at
     specific = tuple(
-        Specific(key, max(p, TINY), _values(apart, tested[key][0])) for key, p in kept.items()
+        SizesByRecord(key, max(p, TINY), _values(apart, tested[key][0])) for key, p in kept.items()
     )
     return specific, apart, weighing.weigh(apart.criterion.model, apart, rounds=1)
 
