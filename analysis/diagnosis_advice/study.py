@@ -225,7 +225,7 @@ class Duel:
             r.data[0] = replace(signals_of(r.model, record_of(channels)), used=r.data[0].used)
             r._last.clear()  # what was simulated of the record before
             fit = minimize_simulation_error(r, check_rank=False, throw=False)
-            left.append(self.setting.weighing.compensated(self.setting.at, r, fit.x))
+            left.append(self.setting.weighing.compensated_criterion(self.setting.at, r, fit.x))
         return 2 * (left[1] - left[0])
 
 
