@@ -128,7 +128,7 @@ def weighed_against_disturbances(
         bare = again.weighing.from_disturbance_of(bare, own)
         start, nothing = replace(start, beside=bare), score_of(bare)
         found = replace(found, at=replace(found.at, beside=own))
-        least = _minus_log_likelihood_beside(again.weighing, found, own, bare)
+        least = minus_log_likelihood_beside(again.weighing, found, own, bare)
         score = 2 * least + _charge(bare, found.adopted, search)
         errors = _errors(baseline.fit, fit, baseline.split)
         may_be_random = not (is_predicted(*errors) or is_more_than_noise(bare, again))
@@ -190,7 +190,7 @@ def leaves_disturbance_alone(search: Search, beside: Beside) -> bool:
     return disturbance_alone(search, start, fit, causes) is not None
 
 
-def _minus_log_likelihood_beside(
+def minus_log_likelihood_beside(
     weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted
 ) -> float:
     """Minus the log-likelihood of the extended model under what is left for a disturbance.
@@ -292,7 +292,7 @@ def _charged(
         return found
     if beside is None and found.at.noise_absorbs_misfit:
         own = found.at.beside or search.under_disturbance(found.fit)
-        beside = _minus_log_likelihood_beside(search.weighing.with_disturbances(), found, own, bare)
+        beside = minus_log_likelihood_beside(search.weighing.with_disturbances(), found, own, bare)
     left = minus_log_likelihood(found.at, bare.criterion) if beside is None else beside
     gain = minus_log_likelihood(bare) - left
     effects = [a.candidate.effect for a in found.adopted]

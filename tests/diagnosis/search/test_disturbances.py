@@ -15,7 +15,7 @@ from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
 from casid.diagnosis.search import disturbance_rival
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.disturbance_price import as_white
-from casid.diagnosis.search.disturbance_rival import _beside, _each_beside
+from casid.diagnosis.search.disturbance_rival import _each_beside, minus_log_likelihood_beside
 from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.settings import DiagnosisSettings
@@ -197,7 +197,7 @@ def test_a_model_with_an_effect_is_no_less_likely_in_a_sea_than_without_it() -> 
     fit = fit_model(extended, experiments, once, start=start, throw=False)
     cause = Adopted(Candidate(effect, names, extended, fit, 0.0, 0.0, 0.0), 0.01, ())
     own = weighing.weigh(extended, fit)
-    beside = _beside(weighing, Adoption((cause,), bare, fit), own, bare)
+    beside = minus_log_likelihood_beside(weighing, Adoption((cause,), bare, fit), own, bare)
     assert beside <= minus_log_likelihood(bare)
 
 
