@@ -367,12 +367,12 @@ def _minimum(criterion: SimulationError, input_sd: Mapping[str, float]) -> Array
     """
     x = criterion.start
     for _ in range(SCREENING.steps):
-        x, length = step_without_bias(criterion, x, input_sd)
+        x, length, _ = step_without_bias(criterion, x, input_sd)
         if length < SCREENING.settled:
             return x
     x = Weighing(criterion.experiments).minimum(criterion).x
     for _ in range(SCREENING.steps):
-        x, length = step_without_bias(criterion, x, input_sd)
+        x, length, _ = step_without_bias(criterion, x, input_sd)
         if length < SCREENING.settled:
             return x
     return None

@@ -273,10 +273,10 @@ class Weighing:
             noise = at.full.quiet(at.input_sd) if at.noise_absorbs_misfit else at.full
             criterion = self.criterion(at.model, noise, at.fit.values, found.criterion)
             use_samples_of(criterion, found.criterion)
-            x, length = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
+            step = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
+            x, length = step.x, step.length
             there = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
-            before, after = (criterion.evaluate(point).value for point in (criterion.start, x))
-            if not after * float(np.finfo(float).eps) < before:
+            if not criterion.evaluate(x).value * float(np.finfo(float).eps) < step.value:
                 return None  # it diverges: next to its errors none of the records' are left
             at = self.estimated(there)
             if length < PREWHITENING.converged:

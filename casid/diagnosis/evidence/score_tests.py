@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import t as student
@@ -350,22 +351,38 @@ def has_finite_tangent(fit: Fit) -> bool:
     )
 
 
+class Step(NamedTuple):
+    """A step of a search.
+
+    Attributes
+    ----------
+    x : (n,) where it leads.
+    length : in standard errors, before it is shortened.
+    value : of the criterion where it begins.
+    """
+
+    x: Array
+    length: float
+    value: float
+
+
 def step_without_bias(
     criterion: SimulationError, x: Array, input_sd: Mapping[str, float], *, seed: int = 0
-) -> tuple[Array, float]:
-    """One Gauss-Newton step from `x` towards the root of (2), and its length in standard errors.
+) -> Step:
+    """One Gauss-Newton step from `x` towards the root of (2).
 
     The matrix is T'T less what noise on the inputs gives to it. Where noise gives nearly all, the
     step is held short rather than turned round.
     """
     n = len(x)
     columns = Columns(criterion, range(n))
-    gradient, matrix, noise = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
+    value, gradient, matrix, noise = 0.0, np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
     sd = np.array([input_sd.get(name, 0.0) for name in criterion.model.inputs])
     rng = np.random.default_rng(seed)
     states = states_of_windows(criterion, range(n))
     for k in range(len(criterion.data)):
         r, t, _ = columns.of_record(x, k)
+        value += 0.5 * float(r @ r)
         gradient += t.T @ r
         matrix += t.T @ t
         if np.any(sd > 0):
@@ -374,7 +391,7 @@ def step_without_bias(
             gradient -= turned.T @ moved
             noise += turned.T @ turned
     if not all(np.all(np.isfinite(part)) for part in (matrix, noise, gradient)):
-        return x, 0.0  # the sensitivities overflow: no step can be trusted
+        return Step(x, 0.0, value)  # the sensitivities overflow: no step can be trusted
     size = np.sqrt(np.maximum(np.diag(matrix), TINY))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     seen = values > 1e-12 * values[-1]
@@ -388,7 +405,7 @@ def step_without_bias(
     lower, upper = (
         np.array([getattr(v, side) for v in criterion.variables]) for side in ("lower", "upper")
     )
-    return np.clip(x + root @ step, lower, upper), length
+    return Step(np.clip(x + root @ step, lower, upper), length, value)
 
 
 def scan(fit: Fit, own: str | None, effects: Sequence[Effect]) -> Array:
