@@ -103,6 +103,11 @@ def _cause_words(name: str, law: str) -> str:
     return effect_words(kind, at, description=law) if at else kind
 
 
+def words_of(found: DesignedExperiment, name: str) -> str:
+    """A hypothesis of a design as an engineer says it, by its name in records and outcomes."""
+    return hypothesis_words(name, found.details.get("laws", {}))
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """A cause as the truth, and the rival that would be fitted to its record.
@@ -291,10 +296,6 @@ class DesignedExperiment(Presented, Saved):
     def notes(self) -> tuple[str, ...]:
         """What bears on the trust in it."""
         return tuple(self.details.get("notes", ()))
-
-    def words(self, name: str) -> str:
-        """A hypothesis, as `records` and `outcomes` name it, as an engineer says it."""
-        return hypothesis_words(name, self.details.get("laws", {}))
 
     @property
     def sentence(self) -> str:

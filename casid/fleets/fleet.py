@@ -150,10 +150,6 @@ class Fleet(Presented):
         """Records that had the full search."""
         return int((self.records["stage"] == "searched").sum())
 
-    def words(self, kind: str, where: str) -> str:
-        """A cause as an engineer says it: dry friction, or the voltage that has its law."""
-        return effect_words(kind, where, description=self.laws.get((kind, where), ""))
-
     def time_text(self, when: float) -> str:
         """A time as a date, or as the number that it is."""
         if not math.isfinite(when):
@@ -203,6 +199,11 @@ class Fleet(Presented):
     def write(self, folder: str | Path) -> Path:
         """Write `fleet.json` and `report.html` into `folder`; returns the report's path."""
         return write(self, folder)
+
+
+def words_of(found: Fleet, key: Key) -> str:
+    """A cause of a fleet as an engineer says it: dry friction, or the voltage that has its law."""
+    return effect_words(*key, description=found.laws.get(key, ""))
 
 
 class FleetOptions(TypedDict, total=False):

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import pytest
 
 from casid.fleets.findings import findings_of
-from casid.model.effects.names import effect_words
 from casid.report.pages.fleet_page import _banner
 from tests.fleets.test_findings import BIAS, OFFSET, outcome
 
@@ -21,7 +20,7 @@ def fleet(*shown: set[int], records: int = 8) -> SimpleNamespace:
         }
     )
     assets = tuple(f"ship {k}" for k in range(len(shown)))
-    return SimpleNamespace(findings=found, assets=assets, words=effect_words)
+    return SimpleNamespace(findings=found, assets=assets, laws={})
 
 
 @pytest.mark.parametrize(
@@ -42,12 +41,13 @@ def test_a_cause_of_the_last_record_is_not_said_to_have_gone(shown, word, look, 
 def test_a_cause_is_called_by_the_words_of_the_fleet() -> None:
     """Of a balance of voltages they are no dry friction."""
     found = fleet({4, 5, 6, 7})
-    found.words = lambda kind, where: f"constant voltage in {where}"
-    assert "the strongest is constant voltage in torque of ship 0" in _banner(found).sentence
+    found.laws = {OFFSET: "a constant voltage"}
+    said = "the strongest is constant voltage in the torque balance of ship 0"
+    assert said in _banner(found).sentence
 
 
 def test_two_causes_of_a_single_record_are_found_once() -> None:
     """The first fleet that a user makes: one record."""
     found = findings_of({"ship": [outcome(0, OFFSET, BIAS)]})
-    banner = _banner(SimpleNamespace(findings=found, assets=("ship",), words=effect_words))
+    banner = _banner(SimpleNamespace(findings=found, assets=("ship",), laws={}))
     assert banner.sentence.startswith("2 causes appear in a single record")

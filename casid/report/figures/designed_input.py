@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.experiment_design.designed_experiment import DesignedExperiment, LimitUse
+from casid.experiment_design.designed_experiment import DesignedExperiment, LimitUse, words_of
 from casid.model.units import difference_from_si, from_si
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, BEFORE, FLOOR, MEASURED, axis_text, hover_text
@@ -35,7 +35,7 @@ def designed_input_figure(found: DesignedExperiment) -> Any:
             if name in found.inputs:
                 _input(figure, k, found, y, look)
                 continue
-            _line(figure, k, record.t, y, found.words(label), look, (found.units[name], limit))
+            _line(figure, k, record.t, y, words_of(found, label), look, (found.units[name], limit))
         _ends(figure, k, found, used.get(name))
         figure.label(k, y=axis_text(name, found.units[name]))
     for j, name in enumerate(outputs if len(pairs) == 2 else []):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.fleets.findings import Finding
-from casid.fleets.fleet import Fleet
+from casid.fleets.findings import Finding, Key
+from casid.fleets.fleet import Fleet, words_of
 from casid.fleets.fleet_table import column
 from casid.fleets.random_effects import ParameterEffects
 from casid.report.figures.panels import Panels
@@ -49,16 +49,16 @@ def cause_figure(fleet: Fleet) -> Any:
     """
     if not fleet.findings:
         raise ValueError("no record shows a cause, so there is nothing to draw")
-    rows: dict[tuple[str, str, str], list[Finding]] = {}
+    rows: dict[tuple[str, Key], list[Finding]] = {}
     for f in fleet.findings:
-        rows.setdefault((f.asset, *f.key), []).append(f)
+        rows.setdefault((f.asset, f.key), []).append(f)
     shown = list(rows.items())[:_ROWS]
     edges = _edges(fleet)
-    z = [_shares(fleet, asset, found, edges) for (asset, _, _), found in shown]
+    z = [_shares(fleet, asset, found, edges) for (asset, _), found in shown]
     names = [
         f"{figure_text(asset, 30)}<br>"
-        f"<sub>{short_label(fleet.words(*key)).replace(', ', '<br>')}</sub>"
-        for (asset, *key), _ in shown
+        f"<sub>{short_label(words_of(fleet, key)).replace(', ', '<br>')}</sub>"
+        for (asset, key), _ in shown
     ]
     figure = Panels(panels=1, row_height=38 * len(shown) + 30, gap=40)
     figure.add(

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from casid.fleets.findings import Finding
-from casid.fleets.fleet import ASSUMPTIONS, Fleet
+from casid.fleets.fleet import ASSUMPTIONS, Fleet, words_of
 from casid.model.quantities import count_text
 from casid.report.document import (
     Banner,
@@ -115,7 +115,7 @@ def _banner(fleet: Fleet) -> Banner:
         first = lasting[0]
         sentence = (
             f"{_many(len(lasting), 'cause is', 'causes are')} still there; the strongest is "
-            f"{fleet.words(*first.key)} of {first.asset}, in {len(first.records)} records."
+            f"{words_of(fleet, first.key)} of {first.asset}, in {len(first.records)} records."
         )
         word = f"{assets} of {count_text(len(fleet.assets), 'asset')}"
         return Banner(word, "with a cause that lasts", sentence, "deficient")
@@ -123,7 +123,7 @@ def _banner(fleet: Fleet) -> Banner:
         first = latest[0]
         sentence = (
             f"{_many(len(latest), 'cause appears', 'causes appear')} in a single record, the "
-            f"strongest is {fleet.words(*first.key)} of {first.asset}; further records of the "
+            f"strongest is {words_of(fleet, first.key)} of {first.asset}; further records of the "
             "asset decide whether it lasts."
         )
         return Banner("not confirmed", "found once", sentence, "undecided")
@@ -161,7 +161,7 @@ def _size(f: Finding) -> str:
 
 
 def _also(fleet: Fleet, f: Finding) -> str:
-    return ", ".join(fleet.words(*key) for key in f.also) or "\u2013"
+    return ", ".join(words_of(fleet, key) for key in f.also) or "\u2013"
 
 
 def _named(f: Finding, names: dict[int, str]) -> Code:

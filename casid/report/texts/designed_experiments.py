@@ -11,6 +11,7 @@ from casid.experiment_design.designed_experiment import (
     LimitUse,
     Outcome,
     Standard,
+    words_of,
 )
 from casid.experiment_design.thresholds import DESIGN
 from casid.report.document import Document, Part, Table, labelled
@@ -38,8 +39,8 @@ def outcome_table(found: DesignedExperiment) -> Table:
     rows = [
         (
             *(
-                found.words(o.truth) + ("" if o.size is None else f" of {o.size:.3g}"),
-                found.words(o.rival),
+                words_of(found, o.truth) + ("" if o.size is None else f" of {o.size:.3g}"),
+                words_of(found, o.rival),
                 number_text(o.energy),
                 share_text(o.power),
                 share_text(o.standard),

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from casid.estimation.estimate import Estimated
 from casid.fleets.findings import Finding
-from casid.fleets.fleet import Fleet
+from casid.fleets.fleet import Fleet, words_of
 from casid.fleets.random_effects import ParameterEffects
 from casid.model.quantities import count_text, shortened
 from casid.report.document import Document, Table, labelled
@@ -114,7 +114,7 @@ def finding_cells(fleet: Fleet, f: Finding) -> tuple[str, ...]:
     """A finding as cells below `FINDING_HEAD`."""
     return (
         f.asset,
-        f"{fleet.words(*f.key)} [{f.kind}]",
+        f"{words_of(fleet, f.key)} [{f.kind}]",
         onset_text(fleet, f),
         str(len(f.records)),
         f"{min(f.e_value, 1e300):.1e}",
