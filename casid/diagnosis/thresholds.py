@@ -1317,12 +1317,6 @@ class Budget:
     seconds: float = _is(600.0, "where none is given; a calibration comes on top", _BUDGET)
     calibration: float = _is(0.5, "of one that is given, when the calibration ends", _BUDGET)
     search: float = _is(0.7, "of it, when the search ends: the verdict needs the rest", _BUDGET)
-    segments: float = _is(
-        0.2,
-        "of the time that is left, when the fit in segments of an unstable model ends: from far "
-        "away it may creep",
-        _BUDGET,
-    )
     refits: float = _is(
         0.6,
         "of the time that is left, when the refits of a round end: the best of them needs the rest "

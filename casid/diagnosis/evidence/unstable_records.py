@@ -7,29 +7,25 @@ predictions over at most its length, free of the growth that the controller took
 
 How fast the model grows, and so how long a window is, its parameters say: far from the truth their
 windows are so long that simulations leave the record in all of them, or so short that they show
-little. A fit in joined segments, which the record itself holds, comes first: windows begin with it.
+little. A fit in windows that the record holds from the start values on comes first, and says how
+long windows are to be.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from casid.data.experiment import Experiment
-from casid.diagnosis.thresholds import BUDGET
-from casid.errors import OutOfTimeError
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, whole_simulation
 from casid.estimation.local_rank import rank_of
-from casid.estimation.simulation.fit import FitSettings, value_at_start
+from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.instability import (
     fewest_samples,
     growth_rate,
-    segments_for,
     window_for,
 )
 from casid.estimation.simulation.minimization import Fit, departures
@@ -39,7 +35,6 @@ from casid.identification.signs_from_simulation import is_poor
 from casid.identification.unstable import tried
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
-from casid.time_limit import seconds_left, until, wall_clock
 
 
 def records_in_windows(
@@ -57,8 +52,9 @@ def records_in_windows(
     whole = tried(model, split.fitted, replace(settings, starts=1))
     if whole is not None and not (is_poor(whole) or _runs_away(whole, split)):
         return split, "", {}
-    criterion, start = _nearer(criterion, settings, say)
-    window = _longest_informative_window(criterion, start, window_for(criterion))
+    start = _values_in_windows(criterion, settings, say)
+    criterion = criterion.of_records(split.fitted, start=start)
+    window = _longest_informative_window(criterion, start)
     seconds = quantity_text(window * criterion.data[0].Ts, "s")
     apart = quantity_text(1 / growth_rate(criterion), "s")
     say(f"simulate it in windows of {seconds}")
@@ -67,7 +63,7 @@ def records_in_windows(
         return [replace(e, window=window) for e in experiments]
 
     cut = Split(windowed(split.fitted), windowed(split.whole), split.held, windowed(split.apart))
-    at = "the values of a fit in segments" if start else "the start values"
+    at = "the values of a fit in short windows" if start else "the start values"
     return (
         cut,
         f"the model is unstable: at {at} a small error grows e-fold in {apart}, so a "
@@ -92,41 +88,47 @@ def _runs_away(whole: Fit, split: Split) -> bool:
     return False
 
 
-def _nearer(
-    criterion: SimulationError, settings: FitSettings, say: Callable[[str], None]
-) -> tuple[SimulationError, dict[str, float]]:
-    """The criterion at the values of a fit in segments, and the values.
+def _values_in_windows(
+    criterion: SimulationError,
+    settings: FitSettings,
+    say: Callable[[str], None],
+) -> dict[str, float]:
+    """The parameters of a fit in windows, each of which begins in a state of its own.
 
-    As it is, and no values, where the model is stable at those, or no segments fit the record in
-    their share of the time: what the model is missing may be to blame then, and the start values
-    stay unless windows diverge.
+    In shorter ones where simulations leave the record, the fit ends where the model is stable, or
+    it is poor: over long windows it has minima far from the truth, and over short ones what is
+    missing counts little. None where no fit is found in the shortest.
+
+    Parameters
+    ----------
+    criterion : of whole records, at the declared start.
     """
-    model, records = criterion.model, criterion.experiments
-    segments = segments_for(criterion)
-    say(f"fit it in {segments} segments")
-    fit: Fit | None = None
-    with suppress(OutOfTimeError), until(wall_clock() + BUDGET.segments * seconds_left()):
-        fit = tried(model, records, replace(settings, starts=1, segments=segments))
-    if fit is None:
-        return criterion, {}
-    values = {name: v for name, v in fit.values.items() if name in model.parameters}
-    there = SimulationError(model, records, start=values)
-    if not window_for(there) or (is_poor(fit) and not _diverges(criterion)):
-        return criterion, {}
-    return there, values
+    window, records = _longest_informative_window(criterion, {}), criterion.experiments
+    values: dict[str, float] = {}
+    while window >= fewest_samples(criterion):
+        say(f"fit it in windows of {quantity_text(window * criterion.data[0].Ts, 's')}")
+        cut = [replace(e, window=window) for e in records]
+        fit = tried(criterion.model, cut, replace(settings, starts=1))
+        if fit is not None:
+            named = zip(fit.criterion.variables, fit.x.tolist(), strict=True)
+            found = {v.name: x for v, x in named if v.source in criterion.model.parameters}
+            if window_for(criterion.of_records(records, start=found)):
+                values = found
+                if not is_poor(fit):
+                    break
+        window //= 2
+    return values
 
 
-def _longest_informative_window(
-    criterion: SimulationError, start: Mapping[str, float], window: int
-) -> int:
-    """The window, halved while simulations over it leave the record and so show no parameter.
+def _longest_informative_window(criterion: SimulationError, start: Mapping[str, float]) -> int:
+    """The window for records at their `start`, halved while simulations over it leave them.
 
     A model that lacks something may seem to grow more slowly than what was measured does.
     """
-    least = fewest_samples(criterion)
+    window, least = window_for(criterion), fewest_samples(criterion)
     while window > least:
         records = [replace(e, window=window) for e in criterion.experiments]
-        cut = SimulationError(criterion.model, records, start=start)
+        cut = criterion.of_records(records, start=start)
         at = cut.evaluate(cut.start)
         finite = np.isfinite(at.value) and np.all(np.isfinite(at.hessian))
         if finite and rank_of(cut.variables, at.hessian, cut.start).is_full:
@@ -135,10 +137,3 @@ def _longest_informative_window(
             break
         window = max(window // 2, least)
     return window
-
-
-def _diverges(criterion: SimulationError) -> bool:
-    """True if simulations in windows leave all numbers at the start values."""
-    window = window_for(criterion)
-    cut = [replace(e, window=window) for e in criterion.experiments]
-    return not math.isfinite(value_at_start(SimulationError(criterion.model, cut)))

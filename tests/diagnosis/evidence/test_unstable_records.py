@@ -213,7 +213,7 @@ def levitated(lag: float, N: int = 1500) -> tuple[casid.Model, casid.Record]:
 
 
 @pytest.mark.slow
-def test_windows_begin_where_a_fit_in_segments_ends_and_are_as_long_as_the_model_has_it_there():
+def test_windows_begin_at_values_of_shorter_ones_and_are_as_long_as_the_model_has_it_there():
     """Ten times too weak a magnet grows sqrt(10) times too slowly: windows it leaves at once.
 
     At rest the gap grows at sqrt(2 g / x) for any C (weight and magnet balance), so that a window
@@ -227,7 +227,7 @@ def test_windows_begin_where_a_fit_in_segments_ends_and_are_as_long_as_the_model
     assert start["C"] == pytest.approx(8e-5, rel=0.01)
     rate = np.sqrt(2 * 9.81 / 0.01)
     assert cut.fitted[0].window * record.Ts == pytest.approx(INSTABILITY.per_window / rate, rel=0.1)
-    assert "at the values of a fit in segments" in note
+    assert "at the values of a fit in short windows" in note
 
 
 @pytest.mark.parametrize("window", [pytest.param(100, marks=pytest.mark.slow), 700])
