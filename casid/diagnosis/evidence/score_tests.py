@@ -33,7 +33,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array, basis_of
-from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
+from casid.diagnosis.evidence.signature_columns import Columns, extended_columns, without
 from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
 from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import SolveError
@@ -436,17 +436,20 @@ def regressed(fit: Fit, own: str | None, effects: Sequence[Effect]) -> tuple[Arr
 
     Parameters
     ----------
-    own : a parameter of the fit that is taken out, as in `scan`; None where there is none.
+    own : a parameter of the fit that is taken out, as in `scan`; None where there is none. A gain
+        is taken out of the simulation: under one of -1 no other gain of its channel does anything.
     """
     base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
-    parts = [columns.of_record(wide.start, k) for k in range(len(wide.data))]
+    is_gain = any(e.kind == "sensor_scale" for e in effects[:1])
+    x = without(wide, wide.start, [own]) if own is not None and is_gain else wide.start
+    parts = [columns.of_record(x, k) for k in range(len(wide.data))]
     e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))
     parts.clear()
     rest = t_all
     if own is not None:
         mine = base.names.index(own)
-        e = e + t_all[:, mine] * fit.x[mine]
+        e = e if is_gain else e + t_all[:, mine] * fit.x[mine]
         rest = np.delete(t_all, mine, axis=1)
     rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
     q, _ = np.linalg.qr(rest)

@@ -125,6 +125,11 @@ def extended_columns(fit: Fit, effects: Sequence[Effect]) -> Columns:
     )
 
 
+def without(criterion: SimulationError, x: Array, names: Sequence[str]) -> Array:
+    """Variables (n,) with some of them at zero: gains that do nothing."""
+    return np.where([name in names for name in criterion.names], 0.0, x)
+
+
 def _white(wide: SimulationError, columns: Array, k: int) -> Array:
     """Columns (N, ny, m) weighted and whitened; `columns` are used up."""
     columns *= wide.weights[None, :, None]

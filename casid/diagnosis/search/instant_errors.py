@@ -30,7 +30,7 @@ from casid.arrays import TINY, Array
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.score_tests import regressed
 from casid.diagnosis.evidence.signal_sizes import window_of
-from casid.diagnosis.evidence.signature_columns import extended_columns
+from casid.diagnosis.evidence.signature_columns import extended_columns, without
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.thresholds import JUMPS
 from casid.errors import SolveError
@@ -239,13 +239,18 @@ def _columns(fit: Fit, own: Sequence[Adopted]) -> tuple[Array, Array, Array]:
     """Residual (M,), sensitivities of the variables (M, n) and of the instants (M, m).
 
     A step that is later by a sample has less of it: that of an instant is the difference of two,
-    half a sample on either side.
+    half a sample on either side; that of a gain is simulated without the gain, which multiplies it.
     """
     model, instants = fit.criterion.model, _instants(fit, own)
     half = 0.5 * min(d.Ts for d in fit.criterion.data)
     steps = [instant.step(model, side) for instant in instants for side in (half, -half)]
     columns = extended_columns(fit, steps)
-    parts = [columns.of_record(columns.wide.start, k) for k in range(len(columns.wide.data))]
+    wide = columns.wide
+    parts = [columns.of_record(wide.start, k) for k in range(len(wide.data))]
     residual, tangent, psi = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    gains = [a.candidate.names[0] for a in own if a.candidate.effect.kind == "sensor_scale"]
+    if gains:
+        x = without(wide, wide.start, gains)
+        psi = np.concatenate([columns.of_record(x, k)[2] for k in range(len(wide.data))])
     sizes = np.array([instant.size(fit) for instant in instants])
     return residual, tangent, (psi[:, 0::2] - psi[:, 1::2]) * (sizes / (2 * half))

@@ -13,6 +13,7 @@ import casid
 from casid.arrays import Array
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.score_tests import scan_pairs
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.instant_errors import moved_in_time, with_instant_errors
 from casid.diagnosis.search.refinement import Adoption, Refinement
@@ -20,6 +21,7 @@ from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.clock_effects import at_instant, gain_step
 from casid.model.effects.parameter_effects import parameter_jump
 from tests.diagnosis.search.test_temporary_changes import BEGIN, END, NOISE, TS, N, leak, record
 
@@ -183,3 +185,42 @@ def test_what_sets_in_at_no_instant_stays_as_it_is(best: tuple[Adopted, Fit]):
     _, fit = best
     assert moved_in_time(leak().model, [], fit) is None
     assert with_instant_errors(Attempts(), [], fit) == ()
+
+
+def stopped(begin: float, end: float) -> tuple[Adopted, Fit]:
+    """A pump that gives nothing for a while, whatever it is told, between two instants."""
+    rng = np.random.default_rng(6)
+    q = np.repeat(rng.uniform(0.5, 1.0, N // 20), 20)
+    level, h = np.empty(N), 1.0
+    for i, told in enumerate(q):
+        level[i] = h
+        inflow = 0.0 if BEGIN <= i * TS < END else told
+        h = inflow / 0.6 + (h - inflow / 0.6) * np.exp(-0.6 * TS)
+    level += NOISE * rng.standard_normal(N)
+    of = casid.Record({"q": q, "level": level}, {"q": "m/s", "level": "m"}, Ts=TS)
+    model = leak().model
+    effect = gain_step(model, "q", begin, end)
+    extended, names = effect.extended(model, starts={"gain_q": -0.9})
+    fit = fit_model(extended, [casid.Experiment(of)], ONCE, weights=np.array([1 / NOISE]))
+    return Adopted(Candidate(effect, names, extended, fit, 0.0, 0.0, 9.0), 0.0, ()), fit
+
+
+def test_an_input_that_fails_does_so_at_the_instants_that_leave_least():
+    """Seconds beside them, too: under a gain of -1 another gain of the input changes nothing."""
+    cause, fit = stopped(BEGIN + 2.0, END - 2.0)
+    effect, own = cause.candidate.effect, cause.candidate.names[0]
+    moments = [[at - HALF + late for late in (-2.0, 0.0, 2.0)] for at in (BEGIN, END)]
+    steps = [[at_instant(effect, fit.criterion.model, t) for t in side] for side in moments]
+    left = scan_pairs(fit, own, *steps)
+    assert np.unravel_index(np.argmin(left), left.shape) == (1, 1)
+
+
+def test_the_instants_at_which_an_input_fails_are_as_uncertain_as_their_profile_says():
+    """Half of what they are where the gain itself scales their signatures."""
+    begin, end = BEGIN - HALF, END - HALF
+    cause, fit = stopped(begin, end)
+    (known,) = with_instant_errors(Attempts(), [cause], fit)
+    later = 0.25 * TS
+    sides = [stopped(begin + side, end)[1].solution.value for side in (later, -later)]
+    alone = later / np.sqrt(2 * (np.mean(sides) - fit.solution.value))
+    assert 0.9 * alone <= known.instant_errors[0] <= 1.3 * alone
