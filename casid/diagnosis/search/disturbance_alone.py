@@ -18,13 +18,13 @@ from casid.diagnosis.evidence.gain_under_disturbance import (
     largest_gain_under_disturbance,
     unwhitened,
 )
-from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable
 from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance_price import price_of, under_likelier_disturbance
-from casid.diagnosis.search.jump_times import placed_by_tangents
+from casid.diagnosis.search.jump_times import placed, placed_by_tangents
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search, strongest_of_each
 from casid.diagnosis.search.temporary_changes import temporary_changes
@@ -65,6 +65,8 @@ def disturbance_alone(
         if gains.one_pays(effects, cost, len(alone.tested), start.noise):
             return None
     is_far = error_over_noise(base, start.noise) > RESTARTS.far and not adopted
+    if is_far and _change_pays(search, start, bare, alone):
+        return None
     if _refit_pays(bare, table, beside.refits_of(bare, _explaining(start, alone))):
         return None
     if is_far or beside.has_alarm(bare, table):
@@ -79,6 +81,30 @@ def _refit_pays(bare: Weighted, table: ScoreTable, refitted: Sequence[Candidate]
     """True if an effect pays for itself by what its refit beside the disturbance gains."""
     n, tested = bare.criterion.n_samples, len(table.tested)
     return any(c.gain > price_of(c.effect.cost, n, tested) for c in refitted)
+
+
+def _change_pays(search: Search, start: Weighted, bare: Weighted, table: ScoreTable) -> bool:
+    """True if the most promising change in time, refitted and placed, pays beside what it leaves.
+
+    Far from the record the parameters have followed the change, and tangents misplace it, whose
+    instants are then too inexact to gain anything beside the disturbance that explains it.
+
+    Parameters
+    ----------
+    start, table : the model under its sensors' noise, and its scores there.
+    bare : the model under the disturbance.
+    """
+    changes = [s for s in table.tested if s.effect.sets_in and s.effect.end is None]
+    changes.sort(key=lambda s: -s.unrobust)
+    promising = sorted([*changes[:1], *temporary_changes(start, table)], key=lambda s: -s.unrobust)
+    found = search.refits_of(start, promising[:1])
+    for c in placed(search.refitting, start, found, [], search.progress):
+        gain = minus_log_likelihood(bare) - minus_log_likelihood(
+            search.under_disturbance(c.fit), bare.criterion
+        )
+        if 2 * gain > price_of(c.effect.cost, bare.criterion.n_samples, len(table.tested)):
+            return True
+    return False
 
 
 def pays_beside(search: Search, at: Weighted, table: ScoreTable) -> bool:
