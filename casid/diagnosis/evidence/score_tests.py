@@ -441,7 +441,7 @@ def regressed(fit: Fit, own: str | None, effects: Sequence[Effect]) -> tuple[Arr
     """
     base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
-    is_gain = any(e.kind == "sensor_scale" for e in effects[:1])
+    is_gain = any(e.is_new_gain for e in effects[:1])
     x = without(wide, wide.start, [own]) if own is not None and is_gain else wide.start
     parts = [columns.of_record(x, k) for k in range(len(wide.data))]
     e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))

@@ -248,7 +248,7 @@ def _columns(fit: Fit, own: Sequence[Adopted]) -> tuple[Array, Array, Array]:
     wide = columns.wide
     parts = [columns.of_record(wide.start, k) for k in range(len(wide.data))]
     residual, tangent, psi = (np.concatenate([part[i] for part in parts]) for i in range(3))
-    gains = [a.candidate.names[0] for a in own if a.candidate.effect.kind == "sensor_scale"]
+    gains = [a.candidate.names[0] for a in own if a.candidate.effect.is_new_gain]
     if gains:
         x = without(wide, wide.start, gains)
         psi = np.concatenate([columns.of_record(x, k)[2] for k in range(len(wide.data))])

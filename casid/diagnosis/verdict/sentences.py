@@ -23,6 +23,7 @@ from casid.model.effects.names import (
     GROWS,
     OPPOSES,
     OVERFLOW,
+    RADIATION,
     RATE,
     RATE_LIMIT,
     constant_quantity,
@@ -225,7 +226,7 @@ def says(effect: Effect, column: str = "") -> str:
     if effect.kind == "parameter_drift" and "stop" in effect.constants:
         change = f"its change is that {_drift_time(effect)}, its value the one in the middle"
         return f"{says_kind(effect.kind, effect.where)} ({change})"
-    if effect.is_store or is_scheduled_by_power(effect):
+    if effect.is_store or is_scheduled_by_power(effect) or _is_of_flow(effect):
         return effect.description
     if effect.shape == RATE:
         return says_rate_limit(effect.where, "a rate")
@@ -248,10 +249,17 @@ def says(effect: Effect, column: str = "") -> str:
             is_command=of_command,
             quantity=constant_quantity(effect.description),
         )
+    if effect.description.startswith(RADIATION):
+        return f"{effect.description} is missing"
     what = effect.description or f"{effect.kind} acts"
     if effect.kind == "unknown":
         return f"an unidentified term in {effect.where}, best described as: {what}"
     return f"{what} ({effect.kind} in {effect.where})"
+
+
+def _is_of_flow(effect: Effect) -> bool:
+    """True of an output that also shows the flow into a store."""
+    return effect.kind == "cross_axis" and bool(effect.description)
 
 
 HOLD_OF = {text: hold for hold, text in COURSES.items()}
@@ -280,6 +288,8 @@ def separates(kind: str, where: str = "", description: str = "") -> str:
         return "steps of the command of several sizes, with the actuator's own position recorded"
     if description.startswith(GAIN_OF_INPUT):
         return "the same input before and after, with what the actuator does recorded beside it"
+    if kind == "cross_axis" and description:
+        return "steps of what flows there: over a resistance they show at once"
     law = law_of(kind, description)
     if kind == "offset" and constant_quantity(description) not in (*_FORCES, "term"):
         return _SEPARATES_LAWS[GROWS]
@@ -295,8 +305,8 @@ def why_alternative(best: Candidate, other: Candidate) -> str:
     """Why a rival cannot be rejected; what would separate it is the advice's matter."""
     gap = best.merit - other.merit
     by = f"{abs(gap):.1f}"
-    as_one = f"as a {other.effect.shape}, " if other.effect.is_on_the_clock else ""
-    as_one = as_one if other.effect.kind in _STEADY else ""
+    lasts = other.effect.is_on_the_clock and other.effect.end is None
+    as_one = f"as a {other.effect.shape}, " if lasts and other.effect.kind in _STEADY else ""
     if by == "0.0":
         return f"{as_one}explains the misfit equally well"
     word = "worse" if gap >= 0 else "better"

@@ -35,6 +35,7 @@ from casid.model.effects.flow_laws import (
     is_never_negative,
     is_positive,
     power_law,
+    radiation,
     saturating_law,
     states_with_one_law,
 )
@@ -211,7 +212,11 @@ def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Eff
         return []
     motion = sizes.motion_of(place.velocity)
     if place.is_relative:
-        found = [flow_law(model, place, motion.rms), saturating_force(model, place, motion.rms)]
+        found = [
+            flow_law(model, place, motion.rms),
+            radiation(model, place),
+            saturating_force(model, place, motion.rms),
+        ]
     else:
         far = _far_levels_of_rest(motion)
         found = [

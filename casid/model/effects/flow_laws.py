@@ -16,8 +16,9 @@ import numpy as np
 
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import GROWS, bracketed
+from casid.model.effects.names import GROWS, RADIATION, bracketed
 from casid.model.effects.place import Place, a_quantity, is_mechanical, is_zero
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
@@ -26,6 +27,9 @@ from casid.model.rate_laws import addends
 from casid.model.units import declared_quotient, same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
+
+STEFAN_BOLTZMANN = 5.670374419e-8
+"""sigma in W/(m^2 K^4) (CODATA 2018, exact)."""
 
 
 def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
@@ -53,6 +57,34 @@ def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
         description=f"{a_quantity(place.unit, 'flow')} {GROWS} a power of {name}, not in "
         "proportion to it",
         constants={"reference": typical},
+    )
+
+
+def radiation(model: Model, where: str | Place) -> Effect | None:
+    """-sigma A (T_1^4 - T_2^4) between two temperatures that exchange heat, A >= 0.
+
+    A is the emissivity times the area, sigma the constant of Stefan and Boltzmann. None for what is
+    no exchange of heat between two temperatures.
+    """
+    place = place_named(model, where)
+    is_heat = same_dimension(place.unit, "W") and same_dimension(place.velocity_unit, "K")
+    if not (place.is_relative and is_heat):
+        return None
+    d = ca.SX(place.velocity)
+    ends = ca.symvar(d)
+    slopes = [ca.jacobian(d, T) for T in ends]
+    if not all(is_zero(ca.fabs(s) - 1) for s in slopes) or len(ends) != 2:
+        return None
+    fourth = sum(float(s) * T**4 for s, T in zip(slopes, ends, strict=True))
+    first, second = place.velocity_name.split("-")[0], place.velocity_name.split("-")[-1]
+    return force_along(
+        place,
+        "unknown",
+        Parameter("A_radiation", "m^2", 0.0, lower=0.0),
+        lambda A: -carrying_unit(STEFAN_BOLTZMANN) * A * fourth,
+        sided="positive",
+        shape="T^4",
+        description=f"{RADIATION} in proportion to {first}^4-{second}^4",
     )
 
 

@@ -67,6 +67,12 @@ BESIDE_ITS_ZERO = "acts beside its zero"
 ADVANCE = "an advance"
 """What a delay that is turned round is."""
 
+RADIATION = "heat radiated"
+"""How the description begins of what is exchanged between the fourth powers of temperatures."""
+
+OVER_A_RESISTANCE = "as over a series resistance"
+"""How the description ends of an output that also shows the flow into a store."""
+
 _CHANGE_OF_GAIN = "change of the gain of {where}"
 _FOR_A_WHILE = {"parameter_jump": "change of {where}", "sensor_scale": _CHANGE_OF_GAIN}
 """What is over again is no jump."""
@@ -156,6 +162,8 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     """
     if kind not in _NAMES:
         return f"{kind} in {where}"
+    if kind == "unknown" and description.startswith(RADIATION):
+        return f"radiation in {where.partition(': ')[0]}"
     if kind == "unknown":
         at, _, shape = where.partition(": ")
         like = " like " + _SIZE.sub(r"|\1|", shape) if shape else ""
@@ -171,6 +179,8 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     if kind == "hold" and description.endswith(BETWEEN_SAMPLES):
         course = description.removesuffix(BETWEEN_SAMPLES)
         return f"{_NAMES[kind].format(where=at)} ({course})"
+    if kind == "cross_axis" and description.endswith(OVER_A_RESISTANCE):
+        return f"series resistance of {at}"
     law = law_of(kind, description).partition(",")[0]
     if law and kind in _LAWS:
         return f"{law.removeprefix('an ').removeprefix('a ')}{place_of_law(law, at)}"

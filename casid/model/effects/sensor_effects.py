@@ -9,10 +9,12 @@ import casadi as ca
 
 from casid.model.declarations import Parameter
 from casid.model.effects.effect import Effect, Sizes, switched_on
+from casid.model.effects.names import OVER_A_RESISTANCE
+from casid.model.effects.place import a_quantity, is_mechanical
 from casid.model.effects.search_ranges import RECTIFIED
 from casid.model.identifiers import made_identifier
 from casid.model.model import Model
-from casid.model.units import same_dimension
+from casid.model.units import same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
 
@@ -51,6 +53,38 @@ def lever_arm(model: Model, channel: str, rate: str) -> Effect:
     return Effect("lever_arm", channel, (p,), apply, shape=rate)
 
 
+def series_resistance(model: Model, channel: str, balance: str) -> Effect | None:
+    """An output that shows a store's level and, over a resistance r, what flows into it: y + r f.
+
+    The terminals of a capacitor or a cell have a series resistance, a thermometer on a surface a
+    contact, a pressure tap the entry of a pipe. f is the balance's flow, its inertia times the rate
+    of the level, with whatever a diagnosis adds to it. None where the output does not show the
+    level, or the balance is one of forces: a mass has no such resistance.
+    """
+    b, (expression, unit) = model.balances[balance], model.outputs[channel]
+    if is_mechanical(b.unit) or not ca.jacobian(ca.SX(expression), model.symbol(b.rate)).nnz():
+        return None
+    of = unit_quotient(unit, b.unit, 1)
+    p = Parameter(f"r_{channel}", "ohm" if same_dimension(of, "ohm") else of, 0.0, lower=0.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        shown, own = new.outputs[channel]
+        flow = new.balances[balance].inertia * new.der(b.rate)
+        new.replace_output(channel, shown + new.symbol(names[0]) * flow, own)
+
+    return Effect(
+        "cross_axis",
+        channel,
+        (p,),
+        apply,
+        sided="positive",
+        priority=2,  # where it is the same as a delay elsewhere, that is named
+        shape=balance,
+        description=f"the channel {channel} also shows {a_quantity(b.unit, 'flow')} into the "
+        f"{balance} balance, {OVER_A_RESISTANCE}",
+    )
+
+
 def sensor_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Sensors that may show an absolute value, or sit away from the assumed point."""
     for channel in model.outputs:
@@ -62,6 +96,10 @@ def sensor_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
                 _turned(model, channel, balance.rate) is not None
             ):
                 yield lever_arm(model, channel, balance.rate)
+        for name in model.balances:
+            resistance = series_resistance(model, channel, name)
+            if resistance is not None:
+                yield resistance
 
 
 def _turned(model: Model, channel: str, rate: str) -> Expr:

@@ -293,6 +293,17 @@ def test_an_alternative_is_described_as_its_bic_says(gap: float, said: str):
     assert said in why_alternative(best, other)
 
 
+def test_what_is_over_again_is_no_step():
+    effect = SimpleNamespace(kind="offset", is_on_the_clock=True, shape="step", end=None)
+    assert why_alternative(effect_at(effect), effect_at(effect)).startswith("as a step, ")
+    effect.end = 40.0
+    assert why_alternative(effect_at(effect), effect_at(effect)).startswith("explains")
+
+
+def effect_at(effect: SimpleNamespace) -> SimpleNamespace:
+    return SimpleNamespace(merit=0.0, effect=effect)
+
+
 def test_of_effects_that_were_not_accepted_the_text_has_three_and_counts_the_others():
     notes = tuple(f"effect {i} {NOT_ACCEPTED}: too weak" for i in range(8))
     text = str(changed(small(), notes=("the first", *notes, "the last")))

@@ -11,13 +11,16 @@ import pytest
 import casid
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.effects.elements import elements_of
 from casid.model.effects.flow_laws import (
     coefficients_of_flows,
     is_never_negative,
     power_law,
+    radiation,
     saturating_law,
     states_with_one_law,
 )
+from casid.model.effects.names import effect_words
 from casid.model.rate_laws import with_balances
 from problems import pendulum
 
@@ -361,3 +364,51 @@ def test_michaelis_mentens_constant_is_recovered_and_no_power_does_as_well():
             assert sd[i, i] ** 0.5 < 0.01 / HALF
             assert fit.x[i] == pytest.approx(1 / HALF, abs=3 * sd[i, i] ** 0.5)
     assert left[power_law] > 1.5 * left[saturating_law]
+
+
+def plate(heat: str = "W") -> casid.Model:
+    """A plate that loses heat to the air, in proportion to the difference."""
+    m = casid.Model("plate")
+    T = m.state("T", "K", start=350.0)
+    P, air = m.input("P", heat, hold="zoh", known=True), m.input("air", "K", known=True)
+    per_kelvin = {"W": ("kJ/K", "W/K"), "K/s": ("1", "1/s")}[heat]
+    C = m.parameter("C", per_kelvin[0], start=2.0, lower=0.1)
+    G = m.parameter("G", per_kelvin[1], start=5.0, lower=0.0)
+    m.balance(T, "plate", inertia=C, terms=[P, -G * (T - air)])
+    m.output("plate_T", T, "K")
+    return m
+
+
+def radiated(area: float, N: int = 600) -> casid.Record:
+    """A plate of 2 kJ/K and 4 W/K that radiates from this area [m^2]; 0.1 K of noise, 10 s."""
+    rng = np.random.default_rng(2)
+    P, air = np.repeat(rng.uniform(0.0, 3000.0, N // 50), 50), np.full(N, 293.0)
+    T, shown = 350.0, np.empty(N)
+    for k in range(N):
+        shown[k] = T
+        for _ in range(20):
+            loss = 4.0 * (T - air[k]) + 5.670374419e-8 * area * (T**4 - air[k] ** 4)
+            T += 0.5 * (P[k] - loss) / 2000.0
+    units = {"P": "W", "air": "K", "plate_T": "K"}
+    shown += 0.1 * rng.standard_normal(N)
+    return casid.Record({"P": P, "air": air, "plate_T": shown}, units, Ts=10.0)
+
+
+def test_radiation_is_between_two_temperatures_that_exchange_heat():
+    (place,) = elements_of(plate())
+    effect = radiation(plate(), place)
+    assert effect is not None
+    (area,) = effect.parameters
+    assert (area.unit, effect.shape) == ("m^2", "T^4")
+    assert effect_words(*effect.key, description=effect.description) == "radiation in T-air"
+    assert radiation(plate("K/s"), elements_of(plate("K/s"))[0]) is None
+    assert radiation(plate(), "plate") is None
+
+
+@pytest.mark.slow
+def test_radiation_is_named_with_its_area():
+    problem = casid.Problem("plate", plate(), starts=1)
+    (cause,) = casid.diagnose(problem, radiated(0.1), advise=False).causes
+    (area,) = cause.parameters
+    assert cause.words == "radiation in T-air"
+    assert abs(area.value - 0.1) < 4 * area.std_error < 0.02

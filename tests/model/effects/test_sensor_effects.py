@@ -12,7 +12,8 @@ import casid
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channel_effects import sensor_scale
 from casid.model.effects.effect import Effect, Sizes
-from casid.model.effects.sensor_effects import lever_arm, rectified
+from casid.model.effects.names import effect_words
+from casid.model.effects.sensor_effects import lever_arm, rectified, sensor_effects_of
 
 
 def bar() -> casid.Model:
@@ -88,3 +89,50 @@ def test_an_input_read_with_a_gain_about_its_operating_point_is_undone():
     read = true + 0.02 * (true - 280.0)
     assert float(f(1.0, 0.0, read, 0.02)) == pytest.approx(true)
     assert np.isfinite(float(f(1.0, 0.0, read, 0.0)))
+
+
+def filter_model(unit: str = "A") -> casid.Model:
+    """A store that a recorded flow fills and that leaks, with its level measured."""
+    m = casid.Model("store")
+    of = {"A": ("V", "farad", "1/ohm"), "N": ("m/s", "kg", "N s/m")}[unit]
+    v, i = m.state("v", of[0]), m.input("i", unit, hold="zoh", known=True)
+    C = m.parameter("C", of[1], start=2.0, lower=0.1)
+    G = m.parameter("G", of[2], start=0.5, lower=0.0)
+    m.balance(v, "store", inertia=C, terms=[i, -G * v])
+    m.output("level", v, of[0])
+    return m
+
+
+def of_store() -> Sizes:
+    return Sizes({"v": 1.0}, {}, (0.0, 10.0), 0.1)
+
+
+def test_an_output_may_show_what_flows_into_a_store_over_a_series_resistance():
+    (effect,) = [e for e in sensor_effects_of(filter_model(), of_store()) if e.kind == "cross_axis"]
+    (r,) = effect.parameters
+    assert (effect.key, r.unit) == (("cross_axis", "level: store"), "ohm")
+    assert effect_words(*effect.key, description=effect.description) == "series resistance of level"
+
+
+def test_what_shows_a_speed_has_no_series_resistance():
+    """What moves a mass is no flow into a store."""
+    assert not list(sensor_effects_of(filter_model("N"), of_store()))
+
+
+@pytest.mark.slow
+def test_the_series_resistance_of_a_capacitor_is_named():
+    """0.05 ohm before 2 F: the terminals show v + r (i - G v), i in steps of half a second."""
+    rng, Ts, r, G = np.random.default_rng(4), 0.05, 0.05, 0.5
+    i = np.repeat(rng.uniform(-1.0, 1.0, 60), 10)
+    shown, v, decay = np.empty(600), 0.2, np.exp(-G * Ts / 2.0)
+    for k, flow in enumerate(i):
+        shown[k] = v + r * (flow - G * v)
+        v = flow / G + (v - flow / G) * decay
+    shown += 2e-3 * rng.standard_normal(600)
+    record = casid.Record({"i": i, "level": shown}, {"i": "A", "level": "V"}, Ts=Ts)
+    problem = casid.Problem("store", filter_model(), starts=1)
+    (cause,) = casid.diagnose(problem, record, advise=False, max_causes=1).causes
+    (found,) = cause.parameters
+    assert (cause.kind, cause.where) == ("cross_axis", "level")
+    assert "over a series resistance" in cause.sentence
+    assert abs(found.value - r) < 4 * found.std_error < 0.1 * r
