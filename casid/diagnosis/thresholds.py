@@ -679,6 +679,12 @@ class Refits:
     step_share: float = _is(0.4, "of a parameter's value that a first change takes", POWER_STUDY)
     loss: float = _is(0.95, "of its value that a parameter may lose", POWER_STUDY)
     growth: float = _is(3.0, "times its value that a parameter may gain", POWER_STUDY)
+    growth_for_a_while: float = _is(
+        30.0,
+        "times its value that it may gain for a while: by an open door a room loses many times "
+        "what its walls do",
+        f"{TESTS}/search/test_temporary_changes.py",
+    )
     slope_room: float = _is(2.0, "times the slope to zero that a change may have", POWER_STUDY)
     inside: float = _is(0.9, "of these bounds between which a fit starts", POWER_STUDY)
 

@@ -375,12 +375,14 @@ def _tick(at: Weighted, effect: Effect) -> float:
 def _keep_sign(model: Model, change: str, value: float, effect: Effect) -> None:
     """Bound a change so that the parameter keeps its sign and its order of magnitude.
 
-    A slope gets twice the room: the value, here that of the model without it, may yet grow.
+    A slope gets twice the room: the value, here that of the model without it, may yet grow. For a
+    while it may be many times as large, as what a room loses by an open door.
     """
     if value == 0.0:
         return
     if effect.span is None:
-        low, high = sorted((-REFITS.loss * value, REFITS.growth * value))
+        growth = REFITS.growth if effect.end is None else REFITS.growth_for_a_while
+        low, high = sorted((-REFITS.loss * value, growth * value))
     else:
         low, high = sorted(
             REFITS.slope_room * slope for slope in _slopes_to_zero(effect.span, value)

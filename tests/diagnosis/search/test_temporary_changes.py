@@ -35,14 +35,16 @@ def leak() -> casid.Problem:
     return casid.Problem("leak", m)
 
 
-def record(*, leaks: float = 0.0, flows: float = 0.0, stays: bool = False) -> casid.Record:
-    """100 s of dh/dt = q + w - k h, sampled exactly, with another k or w from 25 to 45 s."""
+def record(
+    *, leaks: float = 0.0, flows: float = 0.0, stays: bool = False, end: float = END
+) -> casid.Record:
+    """100 s of dh/dt = q + w - k h, sampled exactly, with another k or w from 25 s to `end` [s]."""
     rng = np.random.default_rng(6)
     q = np.repeat(rng.uniform(0.0, 1.0, N // 20), 20)
     level, h = np.empty(N), 1.0
     for i, inflow in enumerate(q):
         level[i] = h
-        is_on = i * TS >= BEGIN and (stays or i * TS < END)
+        is_on = i * TS >= BEGIN and (stays or i * TS < end)
         k, w = (0.6 + leaks, flows) if is_on else (0.6, 0.0)
         h = (inflow + w) / k + (h - (inflow + w) / k) * np.exp(-k * TS)
     level += NOISE * rng.standard_normal(N)
@@ -80,6 +82,15 @@ def test_what_is_on_for_a_while_is_one_cause_with_both_instants(
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_for_a_while_a_parameter_may_be_many_times_what_it_is():
+    """A valve that is opened: eight times the leak."""
+    (cause,) = diagnosed(record(leaks=4.0, end=27.0)).causes
+    jump = sizes(cause)["jump_k"]
+    assert (cause.kind, cause.where) == ("parameter_jump", "k")
+    assert abs(jump.value - 4.0) < 4 * jump.std_error  # type: ignore[attr-defined]
+
+
 def test_what_stays_is_a_jump():
     (cause,) = diagnosed(record(leaks=0.3, stays=True)).causes
     assert cause.kind == "parameter_jump"
