@@ -28,9 +28,6 @@ from casid.model.units import declared_quotient, same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
 
-STEFAN_BOLTZMANN = 5.670374419e-8
-"""sigma in W/(m^2 K^4) (CODATA 2018, exact)."""
-
 
 def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
     """A flow C d between two stores becomes C d (|d| / d_ref)^(n - 1), d the difference.
@@ -75,13 +72,14 @@ def radiation(model: Model, where: str | Place) -> Effect | None:
     slopes = [ca.jacobian(d, T) for T in ends]
     if not all(is_zero(ca.fabs(s) - 1) for s in slopes) or len(ends) != 2:
         return None
+    sigma = carrying_unit(5.670374419e-8)  # W/(m^2 K^4), CODATA 2018
     fourth = sum(float(s) * T**4 for s, T in zip(slopes, ends, strict=True))
     first, second = place.velocity_name.split("-")[0], place.velocity_name.split("-")[-1]
     return force_along(
         place,
         "unknown",
         Parameter("A_radiation", "m^2", 0.0, lower=0.0),
-        lambda A: -carrying_unit(STEFAN_BOLTZMANN) * A * fourth,
+        lambda A: -sigma * A * fourth,
         sided="positive",
         shape="T^4",
         description=f"{RADIATION} in proportion to {first}^4-{second}^4",
