@@ -25,19 +25,36 @@ from casid.estimation.simulation.sample_lines import delayed_lines, lines_of
 from casid.model.declarations import Hold, Stage
 from casid.model.model import Model
 
-MEMORY = {"delay": 1.0, "lag": 5.0, "late_input": 1.0}
+MEMORY = {"delay": 1.0, "lag": 5.0, "late_input": 1.0, "lag_input": 5.0}
 """How long the unknown past is felt in a stage, in units of its parameter.
 
 Five time constants after its start less than a hundredth of what was before remains. What a late
-input did before the record all outputs show; after that time the initial state makes up for it.
+or lagging input did before the record all outputs show; after that time the initial state makes up
+for it.
 """
 
-MOST_OF_LAG = 0.25
+MOST_OF_LAG = {"lag": 0.25, "lag_input": 0.1}
 """Share of a record that is left out for a lag at most.
 
 What was before dies away, and a lag whose five time constants are longer would leave nothing to
-fit. Of a delay there is no remainder that is small: it is left out to its end.
+fit. All outputs show the lag of a command: no more is left out of all than for its dead time. Of a
+delay there is no remainder that is small: it is left out to its end.
 """
+
+STILL = 10
+"""Samples at one value as the record begins, of a command that was there before.
+
+Its lag then begins in the state that it ends in: nothing is due to the past, and the first move,
+which may be all that shows the lag, counts. A controller's command moves with every sample.
+"""
+
+
+def begins_still(model: Model, stage: Stage, u: Array) -> bool:
+    """True of an actuator's lag whose command, of the inputs (N, nu), does not move at first."""
+    if stage.kind != "lag_input":
+        return False
+    first = u[:STILL, list(model.inputs).index(stage.channel)]
+    return bool(np.all(first == first[0]))
 
 
 def due_to_past(kind: str, longest: float, N: int) -> int:
@@ -47,16 +64,16 @@ def due_to_past(kind: str, longest: float, N: int) -> int:
     ----------
     longest : its parameter at most, in samples.
     """
-    most = int(MOST_OF_LAG * N) if kind == "lag" else N
+    most = int(MOST_OF_LAG.get(kind, 1.0) * N)
     return int(min(np.ceil(MEMORY[kind] * longest) + 1, most))
 
 
-def due_to_earlier_inputs(model: Model, N: int, Ts: float) -> BoolArray:
-    """(N, ny) the first samples of what is late or lags, due to inputs before the record."""
-    out = np.zeros((N, len(model.outputs)), dtype=bool)
+def due_to_earlier_inputs(model: Model, u: Array, Ts: float) -> BoolArray:
+    """(N, ny) the first samples of what is late or lags, due to others than these inputs (N, nu)."""
+    out = np.zeros((len(u), len(model.outputs)), dtype=bool)
     for stage in model.stages:
-        if stage.kind in MEMORY:
-            first = due_to_past(stage.kind, model.parameters[stage.parameter].upper / Ts, N)
+        if stage.kind in MEMORY and not begins_still(model, stage, u):
+            first = due_to_past(stage.kind, model.parameters[stage.parameter].upper / Ts, len(u))
             columns = slice(None) if stage.is_of_input else [*model.outputs].index(stage.channel)
             out[:first, columns] = True
     return out

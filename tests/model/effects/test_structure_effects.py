@@ -436,3 +436,37 @@ def test_modes_of_coupled_balances_are_solved_for_beside_effects_in_their_inerti
     explicit = extended.explicit()
     assert len(explicit.states) == 3 + 2 * len(modes)
     assert extended.name == "arm + missing_mode + missing_mode + missing_mode + 3 more"
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_the_lag_of_a_command_that_moves_as_the_record_begins_is_found(still: bool) -> None:
+    """What the actuator did before is not recorded: of a thruster under control in mid-course.
+
+    A command that stands still at first was there before, and its first step counts.
+    """
+    tau, rng = 0.2, np.random.default_rng(8)
+    before = 0 if still else 100
+    command = 2.0 * rng.standard_normal(N + before)
+    if still:
+        command[:30], command[150:] = 0.0, 2.0  # its only moves are early ones
+    v = acting = 0.0
+    speed = np.empty(N + before)
+    for k, u in enumerate(command):  # exact for a held command, but for the mean of what acts
+        speed[k] = v
+        decay, inside = np.exp(-TS / tau), 1 - tau / TS * (1 - np.exp(-TS / tau))
+        mean = acting + (u - acting) * inside
+        v = v * np.exp(-D / M * TS) + (1 - np.exp(-D / M * TS)) / D * mean
+        acting += (u - acting) * (1 - decay)
+    speed, command = speed[before:] + 1e-3 * rng.standard_normal(N), command[before:]
+    m = casid.Model("hull")
+    x = m.state("v", "m/s")
+    force = m.input("force", "N", hold="zoh", known=True)
+    m.balance(x, "surge", inertia=m.parameter("M", "kg", start=1.5), terms=[-D * x, force])
+    m.output("position", x, "m/s")
+    lagging = m.extend(actuator_lag(m, "force", longest=2.0)).with_unknown(tau_force=0.1)
+    record = casid.Record(
+        {"force": command, "position": speed}, {"force": "N", "position": "m/s"}, TS
+    )
+    fit = minimize_simulation_error(SimulationError(lagging, [casid.Experiment(record)]))
+    assert fit.values["tau_force"] == pytest.approx(tau, abs=0.005)
+    assert fit.values["M"] == pytest.approx(M, abs=0.04)
