@@ -168,7 +168,7 @@ def why_undecided(
             f"the simulated outputs move by only {loudest:.2g} of the noise: nothing excites the "
             f"system enough to show what the model lacks{still_inputs(c)}"
         )
-    if error_over_noise(fit, at.noise) < SUFFICIENCY.misfit and _none_is_known(at, std_error):
+    if error_over_noise(fit, at.noise) < SUFFICIENCY.misfit and none_is_known(at, std_error):
         return f"no parameter has a standard error below its own size{still_inputs(c)}"
     return ""
 
@@ -187,7 +187,7 @@ def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> s
             f"are those where the fit stopped: {fit.solution.remedy}"
         )
     wrong = error_over_noise(fit, at.noise)
-    if wrong < SUFFICIENCY.misfit or not _none_is_known(at, std_error):
+    if wrong < SUFFICIENCY.misfit or not none_is_known(at, std_error):
         return ""
     return (
         f"the error of the model is {wrong:.2g} times the noise, and no parameter of it has a "
@@ -195,7 +195,7 @@ def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> s
     )
 
 
-def _none_is_known(at: Weighted, std_error: Callable[[str], float]) -> bool:
+def none_is_known(at: Weighted, std_error: Callable[[str], float]) -> bool:
     """True if no parameter has a standard error below its own size."""
     relative = _relative_errors(at, std_error)
     return bool(relative) and min(relative.values()) > 1.0

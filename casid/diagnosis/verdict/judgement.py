@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from casid.data.problem import Problem
-from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.holding_bounds import held_beyond_chance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error
-from casid.diagnosis.evidence.sufficiency import still_inputs, weak_parameters
+from casid.diagnosis.evidence.sufficiency import none_is_known, still_inputs, weak_parameters
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign, with_the_sizes
@@ -307,7 +306,7 @@ def _undecided(
     if beside is not None and beside.unbiased is not None:
         near = {n: said for n, said in bounds.items() if _is_near_bound(beside.unbiased, n)}
         bounds = near | _bounds_beyond_chance(problem, beside.unbiased, beside.unbiased)
-    why = _why_undecided(found.baseline, unlike, disturbances)
+    why = _why_undecided(found, unlike, beside, disturbances)
     if why:
         return why, {}
     still = still_inputs(found.base_fit.criterion)
@@ -353,9 +352,21 @@ def _with_the_sign(found: Findings, causes: list[Cause]) -> list[Cause]:
     return causes
 
 
-def _why_undecided(start: Baseline, unlike: str, disturbances: Sequence[Disturbance]) -> str:
-    """Why the records support no answer; a doubtful fit is explained by a disturbance."""
-    return start.why_undecided or unlike or ("" if disturbances else start.why_doubtful)
+def _why_undecided(
+    found: Findings, unlike: str, beside: Weighted | None, disturbances: Sequence[Disturbance]
+) -> str:
+    """Why the records support no answer.
+
+    A doubtful fit is explained by a disturbance beside which a parameter is known. Beside one that
+    leaves none, any model would do.
+    """
+    start, at = found.baseline, beside or found.at
+    why = start.why_undecided or unlike
+    if why or not start.why_doubtful:
+        return why
+    if disturbances and not none_is_known(at, partial(std_error, at.fit)):
+        return ""
+    return start.why_doubtful
 
 
 def _compared_with_functions(
