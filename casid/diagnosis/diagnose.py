@@ -37,6 +37,7 @@ from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.identifiability.requirement import require_identifiable
+from casid.identification.inertia_sides import note_on_sides
 from casid.model.rate_laws import with_balances
 from casid.model.written_accelerations import with_written_accelerations
 from casid.time_limit import until, wall_clock
@@ -161,7 +162,7 @@ def diagnose(
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
     found, judged, note = _judged_or_whole(problem, found, split, settings)
-    notes = [*_notes_on_written(written), *note]
+    notes = [*_notes_on_written(written), *note_on_sides(problem, split.fitted), *note]
     diagnosis = _concluded(problem, found, judged, calibration, settings, plan=advise, notes=notes)
     return diagnosis.in_units(found.best_fit.criterion.model.shown_units)
 
