@@ -20,9 +20,11 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.simulation.thresholds import INERTIA_SIDES
 from casid.model.model import Model
 from casid.model.units import from_si
+
+VALUES = 201
+"""Values of a parameter between its bounds, at which the sign of an inertia is seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +80,8 @@ def other_side(criterion: SimulationError) -> OtherSide | None:
         if not np.isfinite(upper - lower):
             continue
         place, begun = e.parameters.index(name), float(p[e.parameters.index(name)])
-        at = np.repeat(p[:, None], INERTIA_SIDES.values, axis=1)
-        at[place] = values = np.linspace(lower, upper, INERTIA_SIDES.values)
+        at = np.repeat(p[:, None], VALUES, axis=1)
+        at[place] = values = np.linspace(lower, upper, VALUES)
         sizes = size(x0, u, at).full().ravel()
         for k in np.flatnonzero(sizes[1:] * sizes[:-1] < 0.0):
             zero = float(np.interp(0.0, *_rising(sizes[k : k + 2], values[k : k + 2])))

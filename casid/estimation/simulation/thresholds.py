@@ -22,7 +22,6 @@ _LOOP = "tests/estimation/test_feedback.py"
 _ROUNDING = "tests/estimation/test_rounding.py"
 _FORESEEN = "tests/estimation/simulation/test_foreseen_noise.py"
 _GROWING = "tests/estimation/simulation/test_growing_noise.py"
-_SIDES = "tests/identification/test_inertia_sides.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 
@@ -239,13 +238,6 @@ class Foreseen:
 
 
 @dataclass(frozen=True, slots=True)
-class InertiaSides:
-    """An inertia that vanishes within the bounds of a parameter."""
-
-    values: int = _is(201, "of a parameter between its bounds, at which the sign is seen", _SIDES)
-
-
-@dataclass(frozen=True, slots=True)
 class GrowingNoise:
     """Noise that grows in proportion to what a sensor reads."""
 
@@ -315,7 +307,6 @@ INPUT_ANSWERS = InputAnswers()
 READINGS = Readings()
 FORESEEN = Foreseen()
 GROWING_NOISE = GrowingNoise()
-INERTIA_SIDES = InertiaSides()
 
 GROUPS = (
     RECORD_AGREEMENT,
@@ -330,7 +321,6 @@ GROUPS = (
     READINGS,
     FORESEEN,
     GROWING_NOISE,
-    INERTIA_SIDES,
 )
 
 TABLE = entries(*GROUPS)
