@@ -69,7 +69,7 @@ def due_to_past(kind: str, longest: float, N: int) -> int:
 
 
 def due_to_earlier_inputs(model: Model, u: Array, Ts: float) -> BoolArray:
-    """(N, ny) the first samples of what is late or lags, due to others than these inputs (N, nu)."""
+    """(N, ny) the first samples of what is late or lags, due to inputs before these u (N, nu)."""
     out = np.zeros((len(u), len(model.outputs)), dtype=bool)
     for stage in model.stages:
         if stage.kind in MEMORY and not begins_still(model, stage, u):
