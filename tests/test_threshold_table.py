@@ -42,7 +42,12 @@ FILES = [
     # Beside numerical methods with numbers of their own: the files that take theirs from the table.
     and (room != "estimation/simulation" or f"{room}.thresholds".replace("/", ".") in p.read_text())
 ]
-FILES += [p for p in (CASID / "estimation").glob("*.py") if ".thresholds import" in p.read_text()]
+FILES += [
+    p
+    for room in ("estimation", "identification")
+    for p in sorted((CASID / room).glob("*.py"))
+    if ".thresholds import" in p.read_text()
+]
 
 # Numbers that decide nothing: they are compared with what they are by definition.
 PLAIN = {0, 1, -1, 0.5, 2}

@@ -9,6 +9,7 @@ from casid.threshold_table import threshold as _is
 
 _TEST = "tests/estimation/errors_in_variables/test_input_noise.py"
 _VARYING = "tests/estimation/test_varying_variances.py"
+_STATED = "tests/identification/test_stated_noise.py"
 _FAR = "tests/estimation/errors_in_variables/test_total_least_squares.py"
 
 
@@ -121,6 +122,22 @@ class VarianceSlope:
 
 
 @dataclass(frozen=True, slots=True)
+class StatedNoise:
+    """When the stated noise of an input is doubted."""
+
+    larger: float = _is(
+        1.5,
+        "times the stated noise that the floor of its channel is, beyond which a note says so: a "
+        "data sheet is no nearer",
+        _STATED,
+        "engineering judgement",
+    )
+    floor_errors: float = _is(
+        4.0, "standard errors of the floor that it is lower by chance", _STATED
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class ChannelFloor:
     """The white noise of a channel by its own spectrum."""
 
@@ -164,10 +181,19 @@ REMOVAL = Removal()
 FILLINGS = Fillings()
 FAR_ROOT = FarRoot()
 VARIANCE_SLOPE = VarianceSlope()
+STATED_NOISE = StatedNoise()
 CHANNEL_FLOOR = ChannelFloor()
 VARYING_RESPONSE = VaryingResponse()
 
-GROUPS = (REMOVAL, FILLINGS, FAR_ROOT, VARIANCE_SLOPE, CHANNEL_FLOOR, VARYING_RESPONSE)
+GROUPS = (
+    REMOVAL,
+    FILLINGS,
+    FAR_ROOT,
+    VARIANCE_SLOPE,
+    STATED_NOISE,
+    CHANNEL_FLOOR,
+    VARYING_RESPONSE,
+)
 
 TABLE = entries(*GROUPS)
 """All of them."""
