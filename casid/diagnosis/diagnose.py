@@ -37,8 +37,7 @@ from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.identifiability.requirement import require_identifiable
-from casid.identification.inertia_sides import note_on_sides
-from casid.identification.stated_noise import notes_on_stated_noise
+from casid.identification.problem_notes import problem_notes
 from casid.model.rate_laws import with_balances
 from casid.model.written_accelerations import with_written_accelerations
 from casid.time_limit import until, wall_clock
@@ -163,7 +162,7 @@ def diagnose(
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
     found, judged, note = _judged_or_whole(problem, found, split, settings)
-    notes = [*_notes_on_written(written), *_notes_on_problem(problem, split), *note]
+    notes = [*_notes_on_written(written), *problem_notes(problem, split.fitted), *note]
     diagnosis = _concluded(problem, found, judged, calibration, settings, plan=advise, notes=notes)
     return diagnosis.in_units(found.best_fit.criterion.model.shown_units)
 
@@ -298,12 +297,6 @@ def _notes_on_written(outputs: Mapping[str, str]) -> list[str]:
         "responds to every force, a force that is missing there moves it too"
         for output, balance in outputs.items()
     ]
-
-
-def _notes_on_problem(problem: Problem, split: Split) -> list[str]:
-    """What is doubtful in the problem as it is written, by its equations and its records."""
-    records = split.fitted
-    return [*note_on_sides(problem, records), *notes_on_stated_noise(problem, records)]
 
 
 def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Findings:

@@ -50,11 +50,10 @@ from casid.estimation.simulation.simulation_estimate import (
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.approach import approach
 from casid.identification.disturbed import identify_disturbed
-from casid.identification.inertia_sides import note_on_sides
+from casid.identification.problem_notes import problem_notes
 from casid.identification.reference_instruments import instrumented
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.identification.sized_noise import fitted_in_sizes, sized_noise_text
-from casid.identification.stated_noise import notes_on_stated_noise
 from casid.identification.unstable import fit_unstable
 from casid.model.model import Model
 from casid.time_limit import (
@@ -210,8 +209,7 @@ def _estimate_of_fit(
         found = undone.attempt("instruments", replaced) or found
         feedback = [] if found.reference else feedback
     with no_time_limit():
-        notes = [*note_on_sides(problem, split.fitted), *channel_notes(problem.model, chosen)]
-        notes += notes_on_stated_noise(problem, split.fitted)
+        notes = [*problem_notes(problem, split.fitted), *channel_notes(problem.model, chosen)]
         notes += [sized_noise_text(grows)] if grows else []
         estimate = _estimate(problem, found, split, [*notes, *feedback])
         trust = Trust(

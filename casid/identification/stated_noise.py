@@ -32,10 +32,7 @@ def notes_on_stated_noise(problem: Problem, experiments: Sequence[Experiment]) -
     out = []
     for name, floor in input_noise_floor(data, list(model.inputs)).items():
         sd = stated.get(name, 0.0)
-        if (
-            name not in measured
-            or not 0 < STATED_NOISE.larger * sd < floor * max(least, 0.0) ** 0.5
-        ):
+        if name not in measured or not 0 < STATED_NOISE.larger * sd < least * floor:
             continue
         unit = model.unit_of(name)
         own, shown = (quantity_text(model.shown_size(name, v), unit) for v in (sd, floor))

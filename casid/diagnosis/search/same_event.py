@@ -78,7 +78,7 @@ def _renamed(
     """The causes with another effect in the place of the last one, and their fit.
 
     Fitted beside it first, and then alone from there. None where it does not err clearly less.
-    Otherwise the last cause is no rival of it, nor are those that could not be told from that one.
+    Where it does, the last cause and its own rivals are no rivals of the other effect.
     """
     model, names = other.extended(fit.criterion.model)
     both = whole_fit(model, refine.split, refine.settings, refine.units, fit.values)
