@@ -52,7 +52,10 @@ class Fit:
 
 
 def widened(fit: Fit, model: Model) -> SimulationError:
-    """The criterion of a fit for a model with more parameters, all of them at their start."""
+    """The criterion of a fit for a model with more parameters, all of them at their start.
+
+    It counts the samples that the fit counts: a lag that is none yet leaves out none.
+    """
     return _restated(fit, model, fit.criterion.whiten)
 
 
@@ -77,7 +80,7 @@ def _restated(fit: Fit, model: Model, whiten: Whitener | None) -> SimulationErro
         start=fit.values,
     )
     for d, own in zip(criterion.data, base.data, strict=True):
-        d.used[:] &= own.used
+        d.used[:] = own.used
     return criterion
 
 
