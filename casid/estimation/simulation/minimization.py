@@ -16,6 +16,7 @@ from casid.estimation.local_rank import describe_null, rank_of
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
 from casid.estimation.nlp.solver import Solver, descending, quasi_newton
+from casid.estimation.simulation.sensor_dynamics import due_to_earlier_inputs
 from casid.estimation.simulation.simulation_error import SimulationError, Whitener
 from casid.model.model import Model
 from casid.time_limit import require_time, seconds_left
@@ -54,7 +55,7 @@ class Fit:
 def widened(fit: Fit, model: Model) -> SimulationError:
     """The criterion of a fit for a model with more parameters, all of them at their start.
 
-    It counts the samples that the fit counts: a lag that is none yet leaves out none.
+    The lag of an input that is none yet leaves out no samples, which all outputs would lose.
     """
     return _restated(fit, model, fit.criterion.whiten)
 
@@ -80,7 +81,7 @@ def _restated(fit: Fit, model: Model, whiten: Whitener | None) -> SimulationErro
         start=fit.values,
     )
     for d, own in zip(criterion.data, base.data, strict=True):
-        d.used[:] = own.used
+        d.used[:] = own.used & ~due_to_earlier_inputs(model, d.u, d.Ts, without=("lag_input",))
     return criterion
 
 

@@ -7,7 +7,7 @@ into a generated column, its carrier, which the model multiplies by that paramet
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,11 +68,19 @@ def due_to_past(kind: str, longest: float, N: int) -> int:
     return int(min(np.ceil(MEMORY[kind] * longest) + 1, most))
 
 
-def due_to_earlier_inputs(model: Model, u: Array, Ts: float) -> BoolArray:
-    """(N, ny) the first samples of what is late or lags, due to inputs before these u (N, nu)."""
+def due_to_earlier_inputs(
+    model: Model, u: Array, Ts: float, *, without: Collection[str] = ()
+) -> BoolArray:
+    """(N, ny) the first samples of what is late or lags, due to inputs before these u (N, nu).
+
+    Parameters
+    ----------
+    without : kinds of stages that do not count.
+    """
     out = np.zeros((len(u), len(model.outputs)), dtype=bool)
     for stage in model.stages:
-        if stage.kind in MEMORY and not begins_still(model, stage, u):
+        counts = stage.kind in MEMORY and stage.kind not in without
+        if counts and not begins_still(model, stage, u):
             first = due_to_past(stage.kind, model.parameters[stage.parameter].upper / Ts, len(u))
             columns = slice(None) if stage.is_of_input else [*model.outputs].index(stage.channel)
             out[:first, columns] = True
