@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from casid.diagnosis.evidence.gain_under_disturbance import (
-    largest_gain_under_disturbance,
+    gains_under_disturbance,
     unwhitened,
 )
 from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
@@ -161,10 +161,10 @@ class _Gains:
         columns = extended_columns(self.plain, effects)
         needed = 0.5 * price_of(cost, self.at.criterion.n_samples, tested)
         chosen = range(len(columns.effects))
-        gain = largest_gain_under_disturbance(
+        gains = gains_under_disturbance(
             self.at, columns, chosen, known=self.known, passing=needed, under=under
         )
-        return gain > needed
+        return any(gain > needed for gain in gains)
 
 
 def _best(at: Weighted, table: ScoreTable) -> list[Effect]:
