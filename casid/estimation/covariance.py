@@ -119,6 +119,10 @@ FEWEST_FOR_WHITENESS = 40
 """Samples below which nothing is called white: of 16, four unknowns alone take a quarter."""
 
 
+LAGS_OUTSIDE = 6
+"""Of 20 autocorrelations outside the 95 % band: of white noise one residual in 30 000 has more."""
+
+
 def whiteness(residual: Array, lags: int = 20) -> int:
     """How many of the first `lags` autocorrelations lie outside the 95 % band of white noise."""
     lags = min(lags, len(residual) - 2)

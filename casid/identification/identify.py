@@ -49,12 +49,12 @@ from casid.estimation.simulation.simulation_estimate import (
 )
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.approach import approach
-from casid.identification.disturbed import identify_disturbed
+from casid.identification.disturbed import identify_disturbed, identify_unstable
 from casid.identification.problem_notes import problem_notes
 from casid.identification.reference_instruments import instrumented
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.identification.sized_noise import fitted_in_sizes, sized_noise_text
-from casid.identification.unstable import fit_unstable
+from casid.identification.unstable import InWindows, fit_in_segments, unstable_in_windows
 from casid.model.model import Model
 from casid.time_limit import (
     Undone,
@@ -155,19 +155,14 @@ def identify(
     undone, chosen_disturbances = Undone(), _disturbances(disturbances, settings, intervals)
     with until(began + fit_budget(problem.model, split.fitted, budget)):
         structural = _structure(problem, split.fitted, settings, chosen_disturbances, progress)
-        if chosen_disturbances:
-            estimate = identify_disturbed(
-                problem,
-                split,
-                chosen_disturbances,
-                settings,
-                start=start,
-                intervals=intervals,
-                budget=budget,
-                progress=say,
-            )
-            return _completed(estimate, problem.model, structural)
-        estimate, found = _estimate_of_fit(problem, split, settings, start, chosen, (say, undone))
+        unstable, disturbed = _by_prediction_error(
+            problem, split, chosen_disturbances, settings, start, intervals, budget, say
+        )
+        if disturbed is not None:
+            return _completed(disturbed, problem.model, structural)
+        estimate, found = _estimate_of_fit(
+            problem, split, settings, start, chosen, unstable, (say, undone)
+        )
         if estimate.is_converged:
             estimation = _estimation(problem, found, estimate, settings)
             patience = patience_since(began, budget)
@@ -184,6 +179,7 @@ def _estimate_of_fit(
     settings: FitSettings,
     start: Mapping[str, float] | None,
     chosen: Sequence[Experiment],
+    unstable: InWindows | None,
     to: tuple[Callable[[str], None], Undone],
 ) -> tuple[Estimate, Corrected]:
     """The estimate with its records and with what it rests on, and the fit that it is of.
@@ -192,10 +188,10 @@ def _estimate_of_fit(
     go to `to`.
     """
     say, undone = to
-    say(f"fit {', '.join(e.name for e in split.fitted)}")
-    fit, suspect = _fit(problem, split.fitted, settings, start, to)
-    if fit.solution.is_converged and settings.segments == 1 == fit.criterion.segments:
-        by_errors = partial(weighted_by_errors, fit, settings)
+    fit, suspect = _fit(problem, split.fitted, settings, start, unstable, to)
+    if fit.solution.is_converged and settings.segments == 1:
+        alike = replace(settings, segments=fit.criterion.segments)
+        by_errors = partial(weighted_by_errors, fit, alike)
         fit = undone.attempt("the weighing of outputs by their errors", by_errors) or fit
     weigh = partial(_sized, problem, fit, split, settings)
     split, fit, grows = undone.attempt("the sizes of noise that grows", weigh) or (split, fit, ())
@@ -382,11 +378,55 @@ def _is_found_without_noise(problem: Problem, fit: Fit, settings: FitSettings) -
     return without_input_noise(fit, problem.noise, seed=settings.seed).is_removed
 
 
+def _by_prediction_error(
+    problem: Problem,
+    split: Split,
+    disturbances: Sequence[Disturbance],
+    settings: FitSettings,
+    start: Mapping[str, float] | None,
+    intervals: str,
+    budget: float | None,
+    say: Callable[[str], None],
+) -> tuple[InWindows | None, Estimate | None]:
+    """A model that no simulation stays with, and an estimate that is not by simulation error.
+
+    That is by prediction error, with the disturbances that are asked for, or with those that show
+    where an unstable model is pushed.
+    """
+    if disturbances:
+        return None, identify_disturbed(
+            problem,
+            split,
+            disturbances,
+            settings,
+            start=start,
+            intervals=intervals,
+            budget=budget,
+            progress=say,
+        )
+    say(f"fit {', '.join(e.name for e in split.fitted)}")
+    if not _is_free(settings):
+        return None, None
+    unstable = unstable_in_windows(problem, split.fitted, settings, start, say)
+    if unstable is None or not unstable.is_disturbed or intervals == "bootstrap":
+        return unstable, None
+    begin = dict(start or {}) | unstable.values
+    return unstable, identify_unstable(
+        problem, split, settings, begin, intervals=intervals, budget=budget, progress=say
+    )
+
+
+def _is_free(settings: FitSettings) -> bool:
+    """Whether the fit has no constraints, and no segments that were asked for."""
+    return not settings.constraints and settings.segments == 1
+
+
 def _fit(
     problem: Problem,
     experiments: Sequence[Experiment],
     settings: FitSettings,
     start: Mapping[str, float] | None,
+    unstable: InWindows | None,
     to: tuple[Callable[[str], None], Undone],
 ) -> tuple[Fit, WrongSign | None]:
     """The fit, and where it is poor a channel that was probably recorded with the wrong sign.
@@ -394,9 +434,10 @@ def _fit(
     Progress and what was not done go to `to`.
     """
     say, undone = to
-    checks_signs = not settings.constraints and settings.segments == 1
-    if checks_signs:
-        in_segments = fit_unstable(problem, experiments, settings, start, say)
+    checks_signs = _is_free(settings)
+    if unstable is not None:
+        whole = unstable.whole
+        in_segments = fit_in_segments(problem, experiments, settings, start, say, whole=whole)
         if in_segments is not None:
             return in_segments, None
     try:

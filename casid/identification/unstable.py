@@ -1,58 +1,105 @@
-"""The fit of an unstable model, such as a plant that its controller alone holds, in segments."""
+"""Unstable models, such as plants that a controller alone holds: what can be estimated of them.
+
+A simulation of the whole record diverges. In segments joined by constraints it stays with the
+record where the model is exact but for the noise of its sensors. A random disturbance moves the
+plant off every path that the model has: there the prediction error of a Kalman filter is minimised,
+with the disturbance in the model.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.errors import CasidError, OutOfTimeError
-from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.covariance import LAGS_OUTSIDE, whiteness
+from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
 from casid.estimation.simulation.instability import segments_for
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.identification.short_windows import (
+    longest_informative_window,
+    tried,
+    values_in_windows,
+)
 from casid.identification.signs_from_simulation import is_poor
-from casid.model.model import Model
 
 
-def fit_unstable(
+@dataclass(frozen=True, slots=True)
+class InWindows:
+    """An unstable model, fitted in short windows of its records.
+
+    Attributes
+    ----------
+    values : the parameters, by variable name; none where no fit was found.
+    is_disturbed : whether simulations over a window err by more than white noise.
+    whole : the poor fit of whole records; None where there is none.
+    """
+
+    values: dict[str, float]
+    is_disturbed: bool
+    whole: Fit | None
+
+
+def unstable_in_windows(
     problem: Problem,
     experiments: Sequence[Experiment],
     settings: FitSettings,
     start: Mapping[str, float] | None,
     say: Callable[[str], None],
-) -> Fit | None:
-    """The fit by multiple shooting, where a simulation of the whole record says nothing.
+) -> InWindows | None:
+    """The model in short windows, where a simulation of the whole record says nothing.
 
     None where the model is stable, or a simulation of the whole record fits all the same (a motion
-    that leaves an unstable equilibrium once), or no fit in segments is found either.
+    that leaves an unstable equilibrium once).
     """
     criterion = SimulationError(problem.model, experiments, own=settings.own, start=start)
-    segments = segments_for(criterion)
-    if segments == 1:
+    if segments_for(criterion) == 1:
         return None
     say("the model is unstable: fit the whole record once")
-    whole = tried(problem.model, experiments, replace(settings, starts=1), start)
+    once = replace(settings, starts=1)
+    whole = tried(problem.model, experiments, once, start)
     if whole is not None and not is_poor(whole):
         return None
+    values = values_in_windows(criterion, settings, say)
+    window = longest_informative_window(criterion.of_records(experiments, start=values), values)
+    cut = [replace(e, window=window) for e in experiments]
+    fit = tried(problem.model, cut, once, values)
+    is_white = fit is not None and _is_white(weighted_by_errors(fit, once))
+    return InWindows(values, not is_white, whole)
+
+
+def _is_white(fit: Fit) -> bool:
+    """True if no more of a fit's residuals is correlated in time than of white noise."""
+    for e, d in enumerate(fit.criterion.data):
+        left = fit.criterion.simulated(fit.x, e).residual
+        for i in range(left.shape[1]):
+            if whiteness(left[d.used[:, i], i]) > LAGS_OUTSIDE:
+                return False
+    return True
+
+
+def fit_in_segments(
+    problem: Problem,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    start: Mapping[str, float] | None,
+    say: Callable[[str], None],
+    *,
+    whole: Fit | None,
+) -> Fit | None:
+    """The fit by multiple shooting; None where none is found, or that of whole records is better.
+
+    Parameters
+    ----------
+    whole : the fit of whole records, if there is one.
+    """
+    segments = segments_for(
+        SimulationError(problem.model, experiments, own=settings.own, start=start)
+    )
     say(f"fit it in {segments} segments")
     parts = tried(problem.model, experiments, replace(settings, segments=segments), start)
     if parts is None or (whole is not None and whole.solution.value <= parts.solution.value):
         return None
     return parts
-
-
-def tried(
-    model: Model,
-    experiments: Sequence[Experiment],
-    settings: FitSettings,
-    start: Mapping[str, float] | None = None,
-) -> Fit | None:
-    """The fit of a model, or None where none is found."""
-    try:
-        return fit_model(model, experiments, settings, start=start)
-    except OutOfTimeError:
-        raise
-    except CasidError:
-        return None

@@ -13,7 +13,7 @@ long windows are to be.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,18 +21,17 @@ import numpy as np
 from casid.data.experiment import Experiment
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, whole_simulation
-from casid.estimation.local_rank import rank_of
 from casid.estimation.simulation.fit import FitSettings
-from casid.estimation.simulation.instability import (
-    fewest_samples,
-    growth_rate,
-    window_for,
-)
-from casid.estimation.simulation.minimization import Fit, departures
+from casid.estimation.simulation.instability import growth_rate, window_for
+from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INSTABILITY
+from casid.identification.short_windows import (
+    longest_informative_window,
+    tried,
+    values_in_windows,
+)
 from casid.identification.signs_from_simulation import is_poor
-from casid.identification.unstable import tried
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
 
@@ -52,9 +51,9 @@ def records_in_windows(
     whole = tried(model, split.fitted, replace(settings, starts=1))
     if whole is not None and not (is_poor(whole) or _runs_away(whole, split)):
         return split, "", {}
-    start = _values_in_windows(criterion, settings, say)
+    start = values_in_windows(criterion, settings, say)
     criterion = criterion.of_records(split.fitted, start=start)
-    window = _longest_informative_window(criterion, start)
+    window = longest_informative_window(criterion, start)
     seconds = quantity_text(window * criterion.data[0].Ts, "s")
     apart = quantity_text(1 / growth_rate(criterion), "s")
     say(f"simulate it in windows of {seconds}")
@@ -86,54 +85,3 @@ def _runs_away(whole: Fit, split: Split) -> bool:
         if held.any() and np.any(rms(error[held]) > INSTABILITY.departs * rms(error[~held])):
             return True
     return False
-
-
-def _values_in_windows(
-    criterion: SimulationError,
-    settings: FitSettings,
-    say: Callable[[str], None],
-) -> dict[str, float]:
-    """The parameters of a fit in windows, each of which begins in a state of its own.
-
-    In shorter ones where simulations leave the record, the fit ends where the model is stable, or
-    it is poor: over long windows it has minima far from the truth, and over short ones what is
-    missing counts little. None where no fit is found in the shortest.
-
-    Parameters
-    ----------
-    criterion : of whole records, at the declared start.
-    """
-    window, records = _longest_informative_window(criterion, {}), criterion.experiments
-    values: dict[str, float] = {}
-    while window >= fewest_samples(criterion):
-        say(f"fit it in windows of {quantity_text(window * criterion.data[0].Ts, 's')}")
-        cut = [replace(e, window=window) for e in records]
-        fit = tried(criterion.model, cut, replace(settings, starts=1))
-        if fit is not None:
-            named = zip(fit.criterion.variables, fit.x.tolist(), strict=True)
-            found = {v.name: x for v, x in named if v.source in criterion.model.parameters}
-            if window_for(criterion.of_records(records, start=found)):
-                values = found
-                if not is_poor(fit):
-                    break
-        window //= 2
-    return values
-
-
-def _longest_informative_window(criterion: SimulationError, start: Mapping[str, float]) -> int:
-    """The window for records at their `start`, halved while simulations over it leave them.
-
-    A model that lacks something may seem to grow more slowly than what was measured does.
-    """
-    window, least = window_for(criterion), fewest_samples(criterion)
-    while window > least:
-        records = [replace(e, window=window) for e in criterion.experiments]
-        cut = criterion.of_records(records, start=start)
-        at = cut.evaluate(cut.start)
-        finite = np.isfinite(at.value) and np.all(np.isfinite(at.hessian))
-        if finite and rank_of(cut.variables, at.hessian, cut.start).is_full:
-            break
-        if not departures(cut, cut.start)[0]:
-            break
-        window = max(window // 2, least)
-    return window

@@ -1,0 +1,85 @@
+"""The fit of an unstable model in short windows, each of which begins in a state of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casid.data.experiment import Experiment
+from casid.errors import CasidError, OutOfTimeError
+from casid.estimation.local_rank import rank_of
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.instability import fewest_samples, window_for
+from casid.estimation.simulation.minimization import Fit, departures
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.identification.signs_from_simulation import is_poor
+from casid.model.model import Model
+from casid.model.quantities import quantity_text
+
+
+def values_in_windows(
+    criterion: SimulationError,
+    settings: FitSettings,
+    say: Callable[[str], None],
+) -> dict[str, float]:
+    """The parameters of a fit in windows, each of which begins in a state of its own.
+
+    In shorter ones where simulations leave the record, the fit ends where the model is stable, or
+    it is poor: over long windows it has minima far from the truth, and over short ones what is
+    missing counts little. None where no fit is found in the shortest.
+
+    Parameters
+    ----------
+    criterion : of whole records, at the declared start.
+    """
+    window, records = longest_informative_window(criterion, {}), criterion.experiments
+    values: dict[str, float] = {}
+    while window >= fewest_samples(criterion):
+        say(f"fit it in windows of {quantity_text(window * criterion.data[0].Ts, 's')}")
+        cut = [replace(e, window=window) for e in records]
+        fit = tried(criterion.model, cut, replace(settings, starts=1))
+        if fit is not None:
+            named = zip(fit.criterion.variables, fit.x.tolist(), strict=True)
+            found = {v.name: x for v, x in named if v.source in criterion.model.parameters}
+            if window_for(criterion.of_records(records, start=found)):
+                values = found
+                if not is_poor(fit):
+                    break
+        window //= 2
+    return values
+
+
+def longest_informative_window(criterion: SimulationError, start: Mapping[str, float]) -> int:
+    """The window for records at their `start`, halved while simulations over it leave them.
+
+    A model that lacks something may seem to grow more slowly than what was measured does.
+    """
+    window, least = window_for(criterion), fewest_samples(criterion)
+    while window > least:
+        records = [replace(e, window=window) for e in criterion.experiments]
+        cut = criterion.of_records(records, start=start)
+        at = cut.evaluate(cut.start)
+        finite = np.isfinite(at.value) and np.all(np.isfinite(at.hessian))
+        if finite and rank_of(cut.variables, at.hessian, cut.start).is_full:
+            break
+        if not departures(cut, cut.start)[0]:
+            break
+        window = max(window // 2, least)
+    return window
+
+
+def tried(
+    model: Model,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    start: Mapping[str, float] | None = None,
+) -> Fit | None:
+    """The fit of a model, or None where none is found."""
+    try:
+        return fit_model(model, experiments, settings, start=start)
+    except OutOfTimeError:
+        raise
+    except CasidError:
+        return None
