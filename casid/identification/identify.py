@@ -111,7 +111,9 @@ def identify(
         of the error that each leaves, the maximum of the likelihood for noise of unknown sizes.
         Where noise on measured inputs (those not declared `known`) biases least squares, the
         estimate is without that bias, and `method` and `evidence` say so; where that, or feedback,
-        cannot be removed and the problem has an `external` signal, it is by instruments. Where the
+        cannot be removed and the problem has an `external` signal, it is by instruments. Of an
+        unstable model that is pushed at random it is with the disturbances, by prediction error,
+        and `evidence` says so under "disturbances". Where the
         fit is poor, `suspects` names a channel that was probably recorded with the wrong sign.
 
     Raises
