@@ -36,7 +36,7 @@ from .estimation.nlp.solver_comparison import compare_solvers
 from .estimation.prediction_error.coordinated_turn import smooth_track
 from .estimation.prediction_error.polynomial.orders import Orders
 from .estimation.reconciliation import Reconciliation
-from .estimation.regression import regress
+from .estimation.regression.regression import regress
 from .estimation.simulation.fit import FitSettings
 from .experiment_design.aim import Aim
 from .experiment_design.design import design_experiment

@@ -44,7 +44,7 @@ FILES = [
 ]
 FILES += [
     p
-    for room in ("estimation", "identification")
+    for room in ("estimation", "estimation/noise", "estimation/disturbances", "identification")
     for p in sorted((CASID / room).glob("*.py"))
     if ".thresholds import" in p.read_text()
 ]

@@ -37,8 +37,8 @@ from casid.diagnosis.advice.next_experiment import Advice, Suspect, next_experim
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
 from casid.diagnosis.thresholds import PLANNING
-from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import noise_response
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.signals import signals_of
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -35,8 +35,8 @@ from scipy.stats import norm
 
 import casid
 from casid.data.experiment import Experiment
-from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import noise_response
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

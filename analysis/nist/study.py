@@ -26,8 +26,8 @@ from analysis.common.targets import Target
 from casid.arrays import Array
 from casid.errors import CasidError
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.regression import regress
-from casid.estimation.regression_estimate import RegressionEstimate
+from casid.estimation.regression.regression import regress
+from casid.estimation.regression.regression_estimate import RegressionEstimate
 from casid.model.expressions import parse
 
 STARTS = ("start1", "start2")

@@ -6,9 +6,9 @@ With a residual of covariance Gamma, T its sensitivities, the estimate that mini
 
 has the covariance (T' Gamma^-1 T)^-1, the least there is (A. C. Aitken, Proc. Roy. Soc. Edinburgh
 55 (1935) 42-48); plain least squares has (T'T)^-1 T' Gamma T (T'T)^-1. Gamma is that of an
-autoregression of each output's residual (`residual_spectrum`), estimated once: more steps change
-nothing in the limit (Goldberger 1962). Where noise has a resonance, or drifts slowly, (1) is the
-better estimate by far. That the spectrum is an estimate adds to its covariance
+autoregression of each output's residual (`residual_autoregressions`), estimated once: more steps
+change nothing in the limit (Goldberger 1962). Where noise has a resonance, or drifts slowly, (1) is
+the better estimate by far. That the spectrum is an estimate adds to its covariance
 
     2 sum_j d_j d_j',                                                                          (2)
 
@@ -34,7 +34,7 @@ from scipy.stats import f as f_distribution
 
 from casid.arrays import TINY, Array, basis_of, scaled_inverse
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.residual_spectrum import (
+from casid.estimation.noise.residual_autoregressions import (
     MOVED,
     Autoregression,
     coloured_covariance,

@@ -47,9 +47,9 @@ from casid.diagnosis.evidence.spectral_peaks import find_peaks
 from casid.diagnosis.evidence.sufficiency import fewest_samples, why_uninformative
 from casid.diagnosis.thresholds import PEAKS
 from casid.errors import CasidError, DataError
-from casid.estimation.disturbance_likelihood import errors
+from casid.estimation.disturbances.disturbance_likelihood import errors
 from casid.estimation.holdout import split_records
-from casid.estimation.noise import estimate_noise
+from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit

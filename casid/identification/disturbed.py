@@ -27,7 +27,7 @@ from casid.estimation.intervals.choice import (
 )
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.nlp.solver import as_solver
-from casid.estimation.noise_response import places_of_forces
+from casid.estimation.noise.noise_response import places_of_forces
 from casid.estimation.prediction_error.disturbances import (
     Disturbance,
 )

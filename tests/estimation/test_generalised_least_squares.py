@@ -14,7 +14,7 @@ from casid.estimation.generalised_least_squares import (
     SpectralWeights,
     weighted_by_spectrum,
 )
-from casid.estimation.residual_spectrum import residual_autoregressions
+from casid.estimation.noise.residual_autoregressions import residual_autoregressions
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 

@@ -30,8 +30,8 @@ from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError, DataError, OutOfTimeError
-from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import joined, noise_response
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import joined, noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect

@@ -20,10 +20,10 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import SolveError
-from casid.estimation.disturbance_spectrum import DisturbanceSpectrum, parts_of
 from casid.estimation.holdout import Split
-from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import name_of_force, with_forces
+from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, parts_of
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import name_of_force, with_forces
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model

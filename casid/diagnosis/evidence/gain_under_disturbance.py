@@ -17,12 +17,12 @@ from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.signature_columns import Columns
 from casid.diagnosis.thresholds import DISTURBED
-from casid.estimation.disturbance_estimation import with_disturbance_spectra
-from casid.estimation.noise import estimate_noise
-from casid.estimation.noise_model import NoiseModel
+from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.variances import estimate_noise
+from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.varying_response import with_varying_response
 
 
 def unwhitened(bare: Weighted) -> SimulationError:

@@ -32,7 +32,7 @@ from casid.diagnosis.evidence.signatures import Regression
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.feedback import one_sample_late
-from casid.estimation.residual_spectrum import autoregression
+from casid.estimation.noise.residual_autoregressions import autoregression
 
 ResidualKind = Literal[
     "noise as estimated",

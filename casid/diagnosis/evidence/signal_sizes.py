@@ -14,8 +14,8 @@ from casid.diagnosis.evidence.bursts import burst_onset
 from casid.diagnosis.evidence.command_rates import command_rates
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
-from casid.estimation.input_noise_floor import input_noise_floor
-from casid.estimation.noise import with_rounding
+from casid.estimation.noise.input_noise_floor import input_noise_floor
+from casid.estimation.noise.variances import with_rounding
 from casid.estimation.simulation.minimization import Fit
 from casid.model.declarations import Hold
 from casid.model.effects.effect import Motion, Sizes, Spread

@@ -30,7 +30,7 @@ from casid.estimation.feedback import (
     one_sample_late,
     slope,
 )
-from casid.estimation.noise_model import NoiseModel
+from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.simulation.simulation_error import SimulationError
 
 

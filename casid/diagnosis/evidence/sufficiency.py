@@ -23,9 +23,9 @@ from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.noise import error_over_noise
-from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import Response
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import Response
+from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.signals import require_sizes
 from casid.estimation.simulation.simulation_error import SimulationError

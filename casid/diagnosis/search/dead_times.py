@@ -23,7 +23,7 @@ from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.search.joint_refit import is_dead_time
 from casid.diagnosis.search.preselection import head_of
 from casid.diagnosis.thresholds import DEAD_TIMES, RESTARTS
-from casid.estimation.noise import error_over_noise
+from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 

@@ -34,7 +34,7 @@ from casid.diagnosis.evidence.signature_columns import extended_columns, without
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.thresholds import JUMPS
 from casid.errors import SolveError
-from casid.estimation.residual_spectrum import residual_products
+from casid.estimation.noise.residual_autoregressions import residual_products
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.clock_effects import KNOCK, at_instant
 from casid.model.effects.effect import Effect

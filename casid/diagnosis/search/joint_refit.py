@@ -26,7 +26,7 @@ from casid.diagnosis.solvers import COMPARED
 from casid.diagnosis.thresholds import REFITS, RESTARTS
 from casid.errors import SolveError
 from casid.estimation.nlp.solver import LEADS_TO_KNOWN
-from casid.estimation.noise import error_over_noise
+from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import KINDS, SWITCHED, Effect

@@ -46,7 +46,7 @@ from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import BUDGET, COMPARISON, RESTARTS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
-from casid.estimation.noise import error_over_noise
+from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Effect, extend_all

@@ -25,7 +25,7 @@ from casid.estimation.holdout import (
     why_no_better,
     why_worse,
 )
-from casid.estimation.noise_model import NoiseModel
+from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals
 

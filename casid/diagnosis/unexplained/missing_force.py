@@ -36,7 +36,7 @@ from casid.diagnosis.thresholds import FUNCTIONS, SCORES, TERMS
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
 from casid.diagnosis.unexplained.variables import variable_words
 from casid.estimation.feedback import slope
-from casid.estimation.noise_model import NoiseModel
+from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.simulation.minimization import Fit
 
 SINE = "a sine in time"

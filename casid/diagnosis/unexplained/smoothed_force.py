@@ -20,7 +20,7 @@ from scipy.fft import rfft
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.linearised_path import Linearised
 from casid.diagnosis.thresholds import SMOOTHING
-from casid.estimation.noise_model import NoiseModel
+from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.linear.extended_smoother import backward_pass
 

@@ -39,8 +39,8 @@ from scipy.ndimage import uniform_filter1d
 
 from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
-from casid.estimation.filled_noise import filled_spectrum
-from casid.estimation.noise_response import may_vary
+from casid.estimation.noise.filled_noise import filled_spectrum
+from casid.estimation.noise.noise_response import may_vary
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 

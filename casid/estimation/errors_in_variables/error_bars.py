@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from casid.arrays import Array
 from casid.estimation.errors_in_variables.removal import Corrected
-from casid.estimation.residual_spectrum import Autoregression, coloured_covariance, orders_text
+from casid.estimation.noise.residual_autoregressions import (
+    Autoregression,
+    coloured_covariance,
+    orders_text,
+)
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
     ASSUMES,

@@ -17,18 +17,18 @@ from scipy.fft import rfft
 from scipy.stats import chi2
 
 from casid.arrays import TINY, Array, BoolArray, scaled_inverse
-from casid.estimation.absorbed_noise import absorbed
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
 from casid.estimation.errors_in_variables.thresholds import FILLINGS, REMOVAL
-from casid.estimation.input_noise_floor import input_noise_floor
-from casid.estimation.missing_samples import unbroken
-from casid.estimation.noise import Seen, estimate_noise, with_rounding
-from casid.estimation.noise_floor import floor_error
-from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import noise_response
+from casid.estimation.noise.absorbed_noise import absorbed
+from casid.estimation.noise.input_noise_floor import input_noise_floor
+from casid.estimation.noise.missing_samples import unbroken
+from casid.estimation.noise.noise_floor import floor_error
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import noise_response
+from casid.estimation.noise.variances import Seen, estimate_noise, with_rounding
+from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.varying_response import with_varying_response
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _TEST = "tests/estimation/errors_in_variables/test_input_noise.py"
-_VARYING = "tests/estimation/test_varying_variances.py"
+_VARYING = "tests/estimation/noise/test_varying_variances.py"
 _STATED = "tests/identification/test_stated_noise.py"
 _FAR = "tests/estimation/errors_in_variables/test_total_least_squares.py"
 
@@ -145,7 +145,7 @@ class ChannelFloor:
         4.0,
         "standard deviations of a difference of white noise, beyond which a step is in it: by "
         "chance one of 16 000 is",
-        "tests/estimation/test_noise_floor.py",
+        "tests/estimation/noise/test_noise_floor.py",
         "the normal distribution",
     )
 

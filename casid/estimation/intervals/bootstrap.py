@@ -26,7 +26,7 @@ from casid.estimation.errors_in_variables.removal import (
     without_input_noise,
 )
 from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS, PROFILE_SEARCH
-from casid.estimation.residual_spectrum import residual_autoregressions
+from casid.estimation.noise.residual_autoregressions import residual_autoregressions
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.time_limit import seconds_left
 

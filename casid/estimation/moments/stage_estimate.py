@@ -25,7 +25,7 @@ from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.propagation import Propagated, free_slope, propagate
 from casid.estimation.moments.stage import StageFit
-from casid.estimation.noise_floor import white_floor
+from casid.estimation.noise.noise_floor import white_floor
 from casid.model.model import Model
 from casid.versions import versions
 

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from casid.arrays import TINY, Array
 from casid.estimation.covariance import whiteness
 from casid.estimation.feedback import not_felt_yet
-from casid.estimation.residual_spectrum import autoregression
+from casid.estimation.noise.residual_autoregressions import autoregression
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.thresholds import INPUT_ANSWERS
 

@@ -21,7 +21,7 @@ from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
-from casid.estimation.input_noise_floor import input_noise_floor
+from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.simulation.minimization import divergence
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model

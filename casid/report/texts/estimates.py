@@ -10,7 +10,7 @@ from casid.campaigns.monte_carlo import MonteCarlo
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.reconciliation import Reconciled
-from casid.estimation.regression_estimate import RegressionEstimate
+from casid.estimation.regression.regression_estimate import RegressionEstimate
 from casid.identification.grey_box import Prediction
 from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.model.quantities import count_text

@@ -27,9 +27,9 @@ from casid.diagnosis.calibration.null_runs import Null
 from casid.diagnosis.diagnose import diagnose
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.errors import DataError, SolveError
-from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.holdout import split_records
-from casid.estimation.noise import estimate_noise
+from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from problems import pendulum, roll_decay
 from tests.support.shared import ROOT

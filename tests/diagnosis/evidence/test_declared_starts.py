@@ -20,7 +20,7 @@ from casid.diagnosis.evidence.prewhitening import (
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.search.disturbance_price import under_likelier_disturbance
 from casid.diagnosis.thresholds import RESTARTS
-from casid.estimation.noise import error_over_noise
+from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.initial_state import with_states_anew
 from casid.estimation.simulation.minimization import Fit

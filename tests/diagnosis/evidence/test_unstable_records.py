@@ -21,7 +21,7 @@ from casid.diagnosis.search.joint_refit import Refitting
 from casid.estimation.feedback import slope
 from casid.estimation.holdout import _per_window, restarts, split_records
 from casid.estimation.local_rank import rank_of
-from casid.estimation.noise_response import noise_response
+from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.instability import growth_rate, window_for
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -22,10 +22,10 @@ from casid.diagnosis.search.jump_times import placed_by_tangents
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import RESTARTS
-from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.holdout import split_records
-from casid.estimation.noise import error_over_noise
-from casid.estimation.noise_model import NoiseModel
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balance_effects import quadratic_damping

@@ -19,8 +19,8 @@ from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.gain import chance_over_floor
 from casid.estimation.holdout import split_records
-from casid.estimation.noise_model import NoiseModel
-from casid.estimation.noise_response import Response
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import Response
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 Array = np.ndarray

@@ -19,7 +19,7 @@ from casid.estimation.errors_in_variables import removal
 from casid.estimation.errors_in_variables.equations import columns_of, equations, flat_noise
 from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
-from casid.estimation.noise import estimate_noise
+from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 from tests.support import ventilated_room

@@ -8,8 +8,8 @@ import pytest
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.estimation.errors_in_variables.left_by_noise import left_by_noise, share_that_is_there
-from casid.estimation.input_noise_floor import input_noise_floor
-from casid.estimation.noise import estimate_noise
+from casid.estimation.noise.input_noise_floor import input_noise_floor
+from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 

@@ -14,7 +14,7 @@ from casid.estimation.intervals.choice import patience_since
 from casid.estimation.intervals.profile import profile_interval
 from casid.estimation.intervals.scaled_criterion import ScaledCriterion, tilted
 from casid.estimation.intervals.thresholds import PROFILE_SEARCH
-from casid.estimation.residual_spectrum import coloured_covariance
+from casid.estimation.noise.residual_autoregressions import coloured_covariance
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.identification.identify import identify
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import casid
-from casid.estimation.input_noise_floor import input_noise_floor
-from casid.estimation.noise_floor import floor_error, white_floor
+from casid.estimation.noise.input_noise_floor import input_noise_floor
+from casid.estimation.noise.noise_floor import floor_error, white_floor
 from casid.estimation.simulation import foreseen_noise as module
 from casid.estimation.simulation.foreseen_noise import foreseen_noise
 from casid.estimation.simulation.signals import Signals

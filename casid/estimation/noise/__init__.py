@@ -1,0 +1,1 @@
+"""Noise of sensors, measured inputs and unrecorded forces: its model, variances and whitening."""

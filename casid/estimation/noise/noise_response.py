@@ -1,0 +1,439 @@
+"""Frequency responses of a simulated model to its sources of noise: inputs and forces.
+
+A force acts in a balance. Where outputs are more than balances, it may act in a stated rate as
+well: the height of a road moves the travel of a suspension, z' = v - (its rate), beside the body's
+speed. Whatever acts in one balance alone moves two outputs in proportion, frequency by frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from scipy.fft import rfft
+
+from casid.arrays import Array
+from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
+from casid.estimation.noise.filled_noise import filled_spectrum
+from casid.estimation.noise.windowed_response import windowed_spectra
+from casid.estimation.simulation.band_limited import responses_between
+from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.simulator import band_limited, rk4_sample
+from casid.model.declarations import Input
+from casid.model.explicit_form import Explicit
+from casid.model.model import Model
+from casid.model.units import difference_from_si, unit_quotient
+
+POINTS = 200
+"""Samples of a record at which a model that is not linear is linearised."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Frequency responses of the sampled, linearised model to its noise sources."""
+
+    omega: Array  # (F,) rad/sample, 0..pi
+    gain2: Array  # (F, ny, ns) squared magnitudes
+    sources: tuple[str, ...]
+    gain: Array | None = None  # (F, ny, ns) complex, where several outputs are whitened together
+    cross: Array | None = None  # (F, ny, ny, ns) spectra where they are no products of gains
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """The simulation of one record from its noise sources on, linearised at every sample.
+
+    Attributes
+    ----------
+    a, c : (N, nx, nx), (N, ny, nx).
+    b0, b1 : (N, nx, ns) of the sources at a sample and at the next one.
+    d : (N, ny, ns).
+    """
+
+    sources: tuple[str, ...]
+    Ts: float
+    a: Array
+    b0: Array
+    b1: Array
+    c: Array
+    d: Array
+
+
+def noise_response(
+    criterion: SimulationError,
+    x: Array,
+    experiment: int,
+    *,
+    omega: Array | None = None,
+    is_beside: bool = False,
+) -> Response:
+    """|G|^2 from measured inputs, balances and stated rates to the outputs, linearised on average.
+
+    The step of the simulation itself is linearised, so the response is that of what is simulated.
+    Of an input that is filled between its samples it is that of the noise of those.
+
+    Parameters
+    ----------
+    omega : (F,) rad/sample, above 0; default even from 0 to pi, as finely as the record resolves.
+    is_beside : `x` is no point of the search, whose sensitivities would be of use afterwards.
+    """
+    if omega is not None and criterion.model.stages:
+        # What sensors and actuators do beyond expressions is transformed on an even grid.
+        even = noise_response(criterion, x, experiment, is_beside=is_beside)
+        assert even.gain is not None
+        places = np.clip(np.searchsorted(even.omega, omega), 0, len(even.omega) - 1)
+        gain = even.gain[places]
+        return Response(omega, np.abs(gain) ** 2, even.sources, gain)
+    disturbed, e, means = _mean_slopes(criterion, x, experiment, is_beside=is_beside)
+    a, b0, b1, inside, c, dd = means
+    model, d = criterion.model, criterion.data[experiment]
+    forced = places_of_forces(model)
+    measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
+    if omega is None:
+        # As fine as the record resolves: a lightly damped resonance is narrower than that already.
+        omega = np.linspace(0, np.pi, min(d.N, 1 << 16) + 1)
+        # An integrator has no finite response at zero: stay within the record's resolution.
+        omega[0] = 0.25 * omega[1]
+    z = np.exp(1j * omega)
+    eye = np.eye(len(a))
+    lhs = z[:, None, None] * eye - a
+    enters = _input_stages(
+        criterion, x, experiment, e.inputs, measured, len(forced), len(omega) - 1
+    )
+    rhs = b0 + z[:, None, None] * b1
+    if inside.any():
+        course = responses_between(omega, 2 * criterion.substeps)
+        rhs = rhs + np.einsum("fk,kxu->fxu", course, inside)
+    rhs = rhs @ enters
+    g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
+    sensors = _sensor_stages(criterion, x, experiment, len(omega) - 1)
+    own = np.ones((len(omega), g.shape[2]))
+    for name in set(measured) & set(d.filled):
+        spectrum = filled_spectrum(d.filled[name], model.inputs[name].hold, omega)
+        own[:, measured.index(name)] = np.sqrt(spectrum)
+    g = g * sensors[:, :, None] * own[:, None, :]
+    found = Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
+    if not criterion.is_cut(experiment):
+        return found
+    samples = int(np.median(np.diff([0, *criterion.starts_anew(experiment), d.N])))
+    cross = windowed_spectra(_entering(means, enters), samples, criterion.weights, omega)
+    cross *= np.einsum("fi,fk,fj->fikj", sensors, sensors.conj(), own**2)
+    return with_windowed_spectra(found, cross)
+
+
+def with_windowed_spectra(found: Response, cross: Array) -> Response:
+    """The response with these spectra in the place of products of its gains."""
+    assert found.gain is not None
+    gain2 = np.einsum("fiij->fij", cross).real
+    size = np.abs(found.gain)
+    phase = np.divide(found.gain, size, out=np.ones_like(found.gain), where=size > 0.0)
+    gain = phase * np.sqrt(gain2)
+    return replace(found, gain2=gain2, gain=gain, cross=cross)
+
+
+def joined(r: Response, spectra: Mapping[str, DisturbanceSpectrum]) -> Response:
+    """The response with one more source for each force that acts in several balances."""
+    for name, parts in _of_several(r.sources, spectra):
+        assert r.gain is not None
+        gain = np.concatenate([r.gain, _together(r.gain, r.sources, parts)], axis=2)
+        r = replace(r, sources=(*r.sources, name), gain=gain, gain2=np.abs(gain) ** 2)
+    return r
+
+
+def joined_steps(steps: Steps, spectra: Mapping[str, DisturbanceSpectrum]) -> Steps:
+    """The same of a simulation that is linearised at every sample."""
+    for name, parts in _of_several(steps.sources, spectra):
+        b0, b1, d = (
+            np.concatenate([m, _together(m, steps.sources, parts)], axis=2)
+            for m in (steps.b0, steps.b1, steps.d)
+        )
+        steps = replace(steps, sources=(*steps.sources, name), b0=b0, b1=b1, d=d)
+    return steps
+
+
+def _of_several(
+    sources: Sequence[str], spectra: Mapping[str, DisturbanceSpectrum]
+) -> list[tuple[str, tuple[Part, ...]]]:
+    return [(n, s.parts) for n, s in spectra.items() if s.parts and n not in sources]
+
+
+def _together(gains: Array, sources: Sequence[str], parts: Sequence[Part]) -> Array:
+    """(.., rows, 1) by which one force enters in several places, of gains (.., rows, sources)."""
+    return np.asarray(sum(p.ratio * gains[..., [sources.index(p.place)]] for p in parts))
+
+
+def _entering(means: tuple[Array, ...], enters: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """A, B0, B1, C, D of a sample from the sources, of mean slopes and `_input_stages`.
+
+    What is band-limited enters as if straight lines joined it, and of stages the size alone counts.
+    """
+    a, b0, b1, inside, c, dd = means
+    b0, b1 = _on_lines(b0, b1, inside)
+    direct = np.sqrt(np.mean(np.abs(enters) ** 2, axis=0))
+    return a, b0 @ direct, b1 @ direct, c, dd @ direct
+
+
+def _on_lines(b0: Array, b1: Array, inside: Array) -> tuple[Array, Array]:
+    """How inputs enter at a sample and the next one, those in between joined by straight lines."""
+    shares: Array = np.arange(1, len(inside) + 1) / (len(inside) + 1)
+    shares = shares.reshape(-1, *[1] * (inside.ndim - 1))
+    return b0 + np.sum((1 - shares) * inside, axis=0), b1 + np.sum(shares * inside, axis=0)
+
+
+def _mean_slopes(
+    criterion: SimulationError, x: Array, experiment: int, *, is_beside: bool
+) -> tuple[Model, Explicit, tuple[Array, ...]]:
+    """The model with a force in each balance, its equations, and the mean slopes of a sample.
+
+    Equivalent linearisation: the mean of the derivatives over the record, so that kinks and
+    amplitude-dependent terms count by how often they are met.
+    """
+    d = criterion.data[experiment]
+    disturbed, e, _, is_constant = _linearised(criterion, d.Ts)
+    if is_constant:
+        states = np.zeros((1, len(e.states)))
+    elif is_beside:
+        states = criterion.simulate(x, experiment)[1]
+    else:
+        states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
+    pick = np.linspace(0, len(states) - 1, min(len(states), POINTS)).astype(int)
+    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states[pick], d.u[pick], d.u[pick])
+    sizes = _gains(np.concatenate([b0, b1, *inside, dd]))
+    nx, ny = len(e.states), len(e.outputs)
+    b0, b1, inside, dd = np.split(sizes, [nx, 2 * nx, len(sizes) - ny])
+    inside = inside.reshape(2 * criterion.substeps - 1, nx, len(e.inputs))
+    return disturbed, e, (a.mean(axis=1), b0, b1, inside, c.mean(axis=1), dd)
+
+
+def may_vary(criterion: SimulationError) -> bool:
+    """True unless the model is linear and constant: then its response is the same all along."""
+    return not all(_linearised(criterion, d.Ts)[3] for d in criterion.data)
+
+
+def multiplied_inputs(criterion: SimulationError) -> tuple[str, ...]:
+    """The inputs on which slopes of the equations depend, as a flow that carries heat."""
+    found: tuple[str, ...] = criterion.built("multiplied inputs", lambda: _multiplied(criterion))
+    return found
+
+
+def _multiplied(criterion: SimulationError) -> tuple[str, ...]:
+    e = criterion.model.explicit()
+    slopes = [ca.jacobian(of, by) for of in (e.f, e.h) for by in (e.x, e.u)]
+    met = ca.which_depends(ca.veccat(*slopes), e.u)
+    return tuple(name for name, is_met in zip(e.inputs, met, strict=True) if is_met)
+
+
+def steps_along(
+    criterion: SimulationError,
+    x: Array,
+    experiment: int,
+    off: Mapping[str, Array] | None = None,
+) -> Steps:
+    """The steps of a record at every sample.
+
+    What sensors and actuators do beyond expressions is left out.
+
+    Parameters
+    ----------
+    off : input -> (N,) by how much it was more than recorded, as far as is known.
+    """
+    d = criterion.data[experiment]
+    disturbed, e, *_ = _linearised(criterion, d.Ts)
+    u = d.u.copy()
+    for name, more in (off or {}).items():
+        u[:, list(criterion.model.inputs).index(name)] += more
+    ahead = np.vstack([u[1:], u[-1:]])
+    states = criterion.simulated(x, experiment).x
+    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, u, ahead)
+    # What a band-limited input does between its samples is taken as on a straight line here.
+    b0, b1 = _on_lines(b0, b1, inside)
+    a, b0, b1, c, dd = (np.ascontiguousarray(m.swapaxes(0, 1)) for m in (a, b0, b1, c, dd))
+    forced = places_of_forces(criterion.model)
+    measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
+    of = [e.inputs.index(n) for n in measured]
+    of += range(len(e.inputs) - len(forced), len(e.inputs))
+    return Steps((*measured, *forced), d.Ts, a, b0[:, :, of], b1[:, :, of], c, dd[:, :, of])
+
+
+def _slopes(
+    criterion: SimulationError, x: Array, experiment: int, states: Array, u: Array, u_next: Array
+) -> tuple[Array, ...]:
+    """Slopes (rows, points, columns) of a sample at states (points, nx): `_linearisation`'s.
+
+    Those in what band-limited inputs are within the sample are (parts - 1, nx, points, inputs).
+
+    Parameters
+    ----------
+    u, u_next : (points, nu) the recorded inputs there, and at the sample after.
+    """
+    d, points = criterion.data[experiment], len(states)
+    disturbed, e, slopes, _ = _linearised(criterion, d.Ts)
+    ni, parts = len(e.inputs), 2 * criterion.substeps
+    here, ahead = (np.hstack([v, np.zeros((points, ni - v.shape[1]))]) for v in (u, u_next))
+    banded = [e.inputs.index(name) for name in band_limited(disturbed)]
+    share = np.arange(1, parts) / parts
+    within = here[:, banded, None] * (1 - share) + ahead[:, banded, None] * share
+    p = np.tile(criterion.parameter_vector(x, experiment)[0][:, None], (1, points))
+    mapped = criterion.built(("noise response", d.Ts, points), lambda: slopes.map(points))
+    found = mapped(states.T, here.T, ahead.T, within.reshape(points, -1).T, p)
+    a, b0, b1, course, c, dd = (np.array(m).reshape(m.shape[0], points, -1) for m in found)
+    inside = np.zeros((parts - 1, *b0.shape))
+    for i, column in enumerate(banded):
+        inside[..., column] = np.moveaxis(
+            course[..., i * (parts - 1) : (i + 1) * (parts - 1)], -1, 0
+        )
+    return a, b0, b1, inside, c, dd
+
+
+def _gains(at_points: Array) -> Array:
+    """(rows, sources) by which white noise enters, of gains (rows, points, sources) that vary.
+
+    What it leaves has the mean square of them: the noise of a supply pressure that a valve opens
+    to either side has a gain of zero on average. Each row has the sign by which it goes with the
+    others (the first eigenvector of their correlations), and a gain that stays is what it is.
+    """
+    mean, square = at_points.mean(axis=1), np.sqrt(np.mean(at_points**2, axis=1))
+    out = mean.copy()
+    for j in range(at_points.shape[2]):
+        rows = square[:, j] > 0.0
+        if not rows.any():
+            continue
+        scaled = at_points[rows, :, j] / square[rows, j, None]
+        main = np.linalg.eigh(scaled @ scaled.T)[1][:, -1]
+        signs = np.where(main < 0.0, -1.0, 1.0)
+        turned = np.sum(signs * mean[rows, j] / square[rows, j]) < 0.0
+        out[rows, j] = square[rows, j] * (-signs if turned else signs)
+    return np.asarray(out)
+
+
+def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
+    """As `_linearisation`, built once."""
+    found: tuple[Model, Explicit, Any, bool] = criterion.built(
+        ("noise response", Ts), lambda: _linearisation(criterion, Ts)
+    )
+    return found
+
+
+def _linearisation(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
+    """The model with a force in each balance, its equations, and the derivatives of a sample.
+
+    The function takes states, inputs, inputs at the next sample, band-limited ones in between (as
+    `rk4_sample` does) and parameters; last whether it depends on parameters alone.
+    """
+    model = criterion.model.copy()
+    # What lags before the simulation moves in lines of its own; sensors come after it.
+    model.stages = tuple(s for s in model.stages if s.is_of_input)
+    disturbed = with_forces(model, places_of_forces(model), "unknown")
+    e = disturbed.explicit()
+    u_next = ca.SX.sym("un", len(e.inputs))
+    within = ca.SX.sym("within", len(band_limited(disturbed)) * (2 * criterion.substeps - 1))
+    xs = rk4_sample(disturbed, e, u_next, Ts, criterion.substeps, within)
+    slopes = [ca.jacobian(xs, of) for of in (e.x, e.u, u_next, within)]
+    slopes += [ca.jacobian(e.h, of) for of in (e.x, e.u)]
+    moving = ca.veccat(e.x, e.u, u_next, within)
+    is_constant = not ca.depends_on(ca.veccat(*slopes), moving)
+    return disturbed, e, ca.Function("lin", [e.x, e.u, u_next, within, e.p], slopes), is_constant
+
+
+def _input_stages(
+    criterion: SimulationError,
+    x: Array,
+    experiment: int,
+    inputs: Sequence[str],
+    measured: Sequence[str],
+    forces: int,
+    n: int,
+) -> Array:
+    """What the noise of each source is in the input columns that are simulated.
+
+    (1, ni, ns) of ones and zeros, or (n + 1, ni, ns) on 0..pi where a stage prepares a column: the
+    transform of what becomes of one noisy sample.
+    """
+    model, Ts = criterion.model, criterion.data[experiment].Ts
+    places = [inputs.index(name) for name in measured]
+    places += range(len(inputs) - forces, len(inputs))
+    direct = np.zeros((1, len(inputs), len(places)))
+    direct[0, places, range(len(places))] = 1.0
+    # An actuator at its largest rate feels no noise of its command, and follows it otherwise.
+    stages = [s for s in model.stages if s.is_of_input and s.kind != "rate_input"]
+    channels = [name for name in measured if any(s.channel == name for s in stages)]
+    if not channels:
+        return direct
+    out = np.repeat(direct.astype(complex), n + 1, axis=0)
+    values = {s.parameter: criterion.value_of(s.parameter, x, experiment) for s in stages}
+    own = list(model.inputs)
+    for channel in channels:
+        u = np.zeros((2 * n, len(own)))
+        u[n, own.index(channel)] = 1.0
+        # Carriers are among the columns, but enter times a parameter that is zero.
+        prepared = prepared_inputs(model, u, values, Ts, stages)
+        out[:, : len(own), measured.index(channel)] = rfft(prepared, axis=0)
+    return out
+
+
+def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int) -> Array:
+    """H (n + 1, ny) of what each output's sensor passes on, on 0..pi; clipping left out.
+
+    Errors count in units of the noise, on average as the slopes do.
+    """
+    out = np.ones((n + 1, len(criterion.outputs)), dtype=complex)
+    back = (-1.0) ** np.arange(n + 1)  # the pulse comes in the middle
+    for stage in criterion.model.stages:
+        if stage.is_of_input or stage.kind == "clip":
+            continue
+        y = np.zeros(2 * n)
+        y[n] = 1.0
+        value = criterion.value_of(stage.parameter, x, experiment)
+        through_sensor(stage.kind, y, None, value, criterion.data[experiment].Ts, -1)
+        out[:, criterion.outputs.index(stage.channel)] *= back * rfft(y)
+    sizes = criterion.data[experiment].sizes
+    return out if sizes is None else out * np.mean(1 / sizes, axis=0)
+
+
+def places_of_forces(model: Model) -> tuple[str, ...]:
+    """The balances; with more outputs than these, the states of stated rates, too."""
+    if len(model.outputs) <= max(len(model.balances), 1):
+        return tuple(model.balances)
+    taken = {*model.balances, *model.inputs, *model.outputs}
+    rates = [n for n in model._rates if n not in taken and not model.states[n].is_added]
+    return (*model.balances, *rates)
+
+
+def unit_of_force(model: Model, place: str) -> str:
+    """The unit of what acts in a balance, beside an input, or in the rate of a state."""
+    if place in model.balances:
+        return model.balances[place].unit
+    if place in model.inputs:
+        return model.inputs[place].unit
+    return unit_quotient(model.states[place].unit, "s")
+
+
+def shown_force(model: Model, place: str, size: float) -> tuple[float, str]:
+    """The size of what acts there, given in SI, and its unit as the model declares it."""
+    unit = unit_of_force(model, place)
+    if place in model.balances:
+        unit = model.balances[place].shown_unit
+    elif place in model.inputs:
+        unit = model.unit_of(place)
+    return float(difference_from_si(size, unit)), unit
+
+
+def name_of_force(place: str) -> str:
+    """The input that `with_forces` adds for a place."""
+    return f"disturbance of {place}"
+
+
+def with_forces(model: Model, places: Sequence[str], kind: Literal["measured", "unknown"]) -> Model:
+    """A copy with one more input in each of these balances and rates, in their order."""
+    new = model.copy()
+    for place in places:
+        w = new.add_input(Input(name_of_force(place), unit_of_force(model, place), kind))
+        if place in model.balances:
+            new.add_term(place, w)
+        else:
+            new.add_rate(place, w)
+    return new

@@ -1,0 +1,345 @@
+"""Innovations of a process whose response to its sources changes along a record.
+
+What a slow force moves in a reactor of varying throughput, say, has no spectrum. Linearised at
+every sample, with the spectrum of each source as a state-space model of its own,
+
+    s_{k+1} = F s_k + v_k,    x_{k+1} = A_k x_k + B0_k h s_k + B1_k h s_{k+1},
+    y_k = C_k x_k + D_k h s_k + w_k,                                                          (1)
+
+it has innovations that a Kalman filter finds (B. D. O. Anderson and J. B. Moore, Optimal Filtering,
+1979, chapters 4, 5 and 9). White sources s need no state: x_k - B1_{k-1} s_k does not depend on
+s_k, and what that moves at the next sample it has in common with the output. The filter's gains are
+found once; columns pass through it as the solution of a banded triangular system.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import expm
+from scipy.linalg.lapack import dtbtrs
+
+from casid.arrays import Array, BoolArray
+from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.noise.noise_response import Steps
+
+COMPILED = 6
+"""States up to which a recursion of CasADi is faster than one of NumPy's small matrices."""
+BLOCK = 256
+"""Samples that it takes at a time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Process:
+    """(1) with all states in one.
+
+    Attributes
+    ----------
+    a, c : (N, m, m), (N, n, m).
+    Q : (N, m, m) covariance of what drives the state.
+    R : (N, n, n) that of the outputs' white noise.
+    S : (N, m, n) of the two.
+    P : (m, m) that of the state at the first sample.
+    """
+
+    a: Array
+    c: Array
+    Q: Array
+    R: Array
+    S: Array
+    P: Array
+
+
+class VaryingInnovations:
+    """The innovations of one record of a process; like `innovations.Innovations`.
+
+    Parameters
+    ----------
+    used : (N, n) the samples that there are, default all. Those of the others are zero.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the covariance of a sample is not positive definite.
+    """
+
+    def __init__(self, process: Process, used: BoolArray | None = None) -> None:
+        self.process, self._used = process, used
+        seen, n = process, process.c.shape[1]
+        if used is not None:  # what is missing shows nothing, and has one unit of white noise
+            pairs = used[:, :, None] & used[:, None, :]
+            seen = replace(
+                process,
+                c=process.c * used[:, :, None],
+                R=np.where(pairs, process.R, np.eye(n)),
+                S=process.S * used[:, None, :],
+            )
+        self._c = seen.c
+        sweep = _by_casadi if len(process.P) <= COMPILED else _by_numpy
+        self._gains, self._roots = sweep(seen)
+        self._band = _bands(seen.a - self._gains @ seen.c)
+
+    def whiten(self, columns: Array) -> Array:
+        """e (N, n, m) of columns r (N, n, m), for the N that it is for."""
+        columns = columns if self._used is None else columns * self._used[:, :, None]
+        left = columns - np.einsum("kij,kjc->kic", self._c, self._states(columns, self._band))
+        return np.asarray(np.einsum("kij,kjc->kic", self._roots, left))
+
+    def transposed(self, columns: Array) -> Array:
+        """The transpose of `whiten` times columns (N, n, m)."""
+        left = np.einsum("kji,kjc->kic", self._roots, columns)
+        states = _solved(self._band, np.einsum("kji,kjc->kic", self._c, left), "T")
+        left[:-1] -= np.einsum("kji,kjc->kic", self._gains[:-1], states[1:])
+        return np.asarray(left if self._used is None else left * self._used[:, :, None])
+
+    def coloured(self, white: Array) -> Array:
+        """The inverse of `whiten` of a complete record, of columns (N, n, m)."""
+        errors = np.linalg.solve(self._roots, white)
+        states = self._states(errors, _bands(self.process.a))
+        return np.asarray(errors + np.einsum("kij,kjc->kic", self._c, states))
+
+    def log_determinant(self, samples: int) -> float:
+        """log det of the covariance of the samples that there are of so many."""
+        assert samples == len(self._roots)
+        return -2 * float(np.sum(self.log_roots))
+
+    @property
+    def log_roots(self) -> Array:
+        """(N, n) logarithm of 1 / sd of what each output adds to those before; 0 where it lacks."""
+        return np.asarray(np.log(np.einsum("kii->ki", self._roots)))
+
+    def cut(self, rows: slice) -> VaryingInnovations:
+        """Those of these rows alone."""
+        p = self.process
+        if rows == slice(0, len(p.a)):
+            return self
+        parts = {name: getattr(p, name)[rows] for name in ("a", "c", "Q", "R", "S")}
+        return VaryingInnovations(replace(p, **parts))
+
+    def _states(self, columns: Array, band: Array) -> Array:
+        """(N, m, c) that columns (N, n, c) times the gains lead to."""
+        states = np.zeros((len(columns), self._gains.shape[1], columns.shape[2]))
+        states[1:] = np.einsum("kij,kjc->kic", self._gains[:-1], columns[:-1])
+        return _solved(band, states, "N")
+
+
+def _by_numpy(process: Process) -> tuple[Array, Array]:
+    """Gains (N, m, n) and inverse roots (N, n, n) of the covariances, sample by sample."""
+    a, c, P = process.a, process.c, process.P
+    N, n, m = c.shape
+    gains, roots = np.empty((N, m, n)), np.empty((N, n, n))
+    for k in range(N):
+        seen = P @ c[k].T
+        root = _inverse_root(c[k] @ seen + process.R[k])
+        half = (a[k] @ seen + process.S[k]) @ root.T
+        roots[k], gains[k] = root, half @ root
+        P = a[k] @ P @ a[k].T - half @ half.T + process.Q[k]
+        P = 0.5 * (P + P.T)
+    return gains, roots
+
+
+def _by_casadi(process: Process) -> tuple[Array, Array]:
+    """The same of few states, in blocks, in a fifth of the time."""
+    N, n, m = process.c.shape
+    past = -N % BLOCK  # the last block is filled up with its last sample
+    parts = [
+        np.concatenate([part, np.broadcast_to(part[-1:], (past, *part.shape[1:]))])
+        for part in (process.a, process.c, process.Q, process.R, process.S)
+    ]
+    gains, roots = np.empty((N + past, m, n)), np.empty((N + past, n, n))
+    P, sweep = process.P, _block(m, n)
+    for first in range(0, N, BLOCK):
+        rows = slice(first, first + BLOCK)
+        along = (part[rows].swapaxes(0, 1).reshape(part.shape[1], -1) for part in parts)
+        after, root, gain = (np.array(found) for found in sweep(P, *along))
+        P = after[:, -m:]
+        roots[rows] = root.reshape(n, BLOCK, n).swapaxes(0, 1)
+        gains[rows] = gain.reshape(m, BLOCK, n).swapaxes(0, 1)
+    if not np.all(np.isfinite(roots[:N])):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+    return gains[:N], roots[:N]
+
+
+@lru_cache(maxsize=16)
+def _block(m: int, n: int) -> Any:
+    """The Riccati recursion of (1) over a block of samples, of m states and n outputs."""
+    P, a, Q = (ca.SX.sym(name, m, m) for name in ("P", "a", "Q"))
+    c, R, S = ca.SX.sym("c", n, m), ca.SX.sym("R", n, n), ca.SX.sym("S", m, n)
+    seen = P @ c.T
+    root = ca.solve(ca.chol(c @ seen + R).T, ca.SX.eye(n))
+    half = (a @ seen + S) @ root.T
+    after = a @ P @ a.T - half @ half.T + Q
+    step = ca.Function("step", [P, a, c, Q, R, S], [0.5 * (after + after.T), root, half @ root])
+    return step.mapaccum(BLOCK)
+
+
+def _inverse_root(covariance: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+class PartialVarying:
+    """Those of the samples that there are; like `missing_samples.PartialInnovations`."""
+
+    def __init__(self, whole: VaryingInnovations, used: BoolArray) -> None:
+        self._whole, self._used = whole, used
+        self._partial = VaryingInnovations(whole.process, used)
+
+    def whiten(self, columns: Array) -> Array:
+        """e (N, n, m) of columns r (N, n, m); zero where samples are missing."""
+        return self._partial.whiten(columns)
+
+    def seen(self, white: Array) -> Array:
+        """Columns (N, n, m), whitened as of a complete record, of the samples that there are."""
+        return self.whiten(self._whole.coloured(white))
+
+    def completed(self, white: Array, rng: np.random.Generator) -> Array:
+        """Whitened columns (N, n, m) with white noise where samples are missing."""
+        return np.where(self._used[:, :, None], white, rng.standard_normal(white.shape))
+
+    def log_determinant(self, samples: int) -> float:
+        """log det of the covariance of what there is of so many samples."""
+        return self._partial.log_determinant(samples)
+
+
+def varying_innovations(
+    steps: Steps,
+    output_sd: Array,
+    source_sd: Mapping[str, float],
+    spectra: Mapping[str, DisturbanceSpectrum],
+    weights: Array,
+    used: BoolArray | None = None,
+) -> VaryingInnovations:
+    """The innovations of one record, of outputs times `weights`.
+
+    Parameters
+    ----------
+    output_sd : (ny,) white noise of each output.
+    source_sd : of a sample of each source, whose spectrum is white or one of `spectra`.
+    used : (N, ny) the samples that there are, default all.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the covariance of a sample is not positive definite.
+    """
+    moving = [n for n in steps.sources if source_sd.get(n, 0.0) > 0.0]
+    names = [n for n in moving if n in spectra]
+    places = [steps.sources.index(n) for n in names]
+    F, V, h = _of_sources([_form(source_sd[n], spectra[n], steps.Ts) for n in names])
+    N, nx, ns = len(steps.a), steps.a.shape[1], len(F)
+    a = np.zeros((N, nx + ns, nx + ns))
+    ahead = steps.b1[:, :, places] @ h
+    a[:, :nx, :nx], a[:, nx:, nx:] = steps.a, F
+    a[:, :nx, nx:] = steps.b0[:, :, places] @ h + ahead @ F
+    enters = np.concatenate([ahead, np.broadcast_to(np.eye(ns), (N, ns, ns))], axis=1)
+    Q = enters @ V @ enters.swapaxes(1, 2)
+    c = np.concatenate([steps.c, steps.d[:, :, places] @ h], axis=2) * weights[:, None]
+    R = np.broadcast_to(np.diag((output_sd * weights) ** 2), (N, *c.shape[1:2] * 2))
+    white = [n for n in moving if n not in spectra]
+    moves, shows = _of_white(steps, white, np.array([source_sd[n] for n in white]))
+    moves = np.concatenate([moves, np.zeros((N, ns, len(white)))], axis=1)
+    shows = shows * weights[:, None]
+    Q = Q + moves @ moves.swapaxes(1, 2)
+    R = R + shows @ shows.swapaxes(1, 2)
+    before = _before(a.mean(axis=0), Q.mean(axis=0), N)
+    return VaryingInnovations(Process(a, c, Q, R, moves @ shows.swapaxes(1, 2), before), used)
+
+
+def smoothed_sources(
+    of: VaryingInnovations,
+    steps: Steps,
+    source_sd: Mapping[str, float],
+    weights: Array,
+    weighted: Array,
+) -> dict[str, Array]:
+    """(N,) what white sources are expected to have been, given outputs (N, n, 1) times `weights`.
+
+    Their covariance with the outputs times the inverse of that of these: a smoother that goes back
+    through the record once (J. Durbin and S. J. Koopman, Time Series Analysis by State Space
+    Methods, 2nd ed. 2012, section 4.5).
+
+    Parameters
+    ----------
+    source_sd : of each source that is sought.
+    """
+    left = of.transposed(of.whiten(weighted))[:, :, 0] * weights
+    into = _solved(_bands(steps.a), np.einsum("kji,kj->ki", steps.c, left)[:, :, None], "T")[
+        :, :, 0
+    ]
+    out = {}
+    for name, sd in source_sd.items():
+        j = steps.sources.index(name)
+        before = np.concatenate([steps.b1[:1, :, j], steps.b1[:-1, :, j]])
+        slope = np.einsum("ki,ki->k", before, into) + np.einsum("kj,kj->k", steps.d[:, :, j], left)
+        slope[:-1] += np.einsum("ki,ki->k", steps.b0[:-1, :, j], into[1:])
+        out[name] = sd**2 * slope
+    return out
+
+
+def _of_white(steps: Steps, names: Sequence[str], sd: Array) -> tuple[Array, Array]:
+    """What white sources move at the next sample (N, nx, w), and at their own in outputs (N, n, w).
+
+    Of the state less what they move before a sample. The first is moved as the second is.
+    """
+    places = [steps.sources.index(n) for n in names]
+    before = steps.b1[:, :, places] * sd
+    before = np.concatenate([before[:1], before[:-1]])
+    moves = steps.a @ before + steps.b0[:, :, places] * sd
+    return moves, steps.c @ before + steps.d[:, :, places] * sd
+
+
+def _of_sources(forms: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
+    """F (ns, ns), the covariance (ns, ns) of v, and h (sources, ns) of all sources together."""
+    ns = sum(len(f) for f, _, _ in forms)
+    F, V, h, first = np.zeros((ns, ns)), np.zeros((ns, ns)), np.zeros((len(forms), ns)), 0
+    for j, (f, v, out) in enumerate(forms):
+        own = slice(first, first + len(f))
+        F[own, own], V[own, own], h[j, own] = f, v, out
+        first += len(f)
+    return F, V, h
+
+
+def _form(sd: float, spectrum: DisturbanceSpectrum, Ts: float) -> tuple[Array, Array, Array]:
+    """F, the covariance of v, and h of one source with a spectrum, sampled."""
+    w = spectrum.frequency
+    if spectrum.damping is None:
+        f = np.exp(-w * Ts)
+        return np.array([[f]]), np.array([[sd**2 * (1 - f**2)]]), np.ones(1)
+    F = expm(Ts * np.array([[0.0, w], [-w, -2 * spectrum.damping * w]]))
+    # Both states of an oscillator that white noise drives have one variance, and nothing in common.
+    h = np.array([0.0, 1.0] if spectrum.is_band else [1.0, 0.0])
+    return F, sd**2 * (np.eye(2) - F @ F.T), h
+
+
+def _before(a: Array, Q: Array, samples: int) -> Array:
+    """(m, m) covariance of the state after so many samples from rest, by doubling."""
+    a = a / max(1.0, float(np.max(np.abs(np.linalg.eigvals(a)))))
+    P = Q.copy()
+    for _ in range(int(np.ceil(np.log2(max(samples, 2))))):
+        P, a = P + a @ P @ a.T, a @ a
+    return np.asarray(0.5 * (P + P.T))
+
+
+def _solved(band: Array, states: Array, side: str) -> Array:
+    """x_k of x_{k+1} - M_k x_k = `states` (N, m, c), M by its `_bands`; or of the transpose."""
+    N, m, count = states.shape
+    if not count:  # of none, the routine writes where it should not
+        return states
+    found, _ = dtbtrs(band, states.reshape(N * m, count), uplo="L", trans=side, diag="U")
+    return np.asarray(found).reshape(N, m, count)
+
+
+def _bands(closed: Array) -> Array:
+    """(2 m, N m) of the unit matrix less `closed` (N, m, m) one block below, by its diagonals."""
+    N, m = closed.shape[:2]
+    out = np.zeros((2 * m, N * m))
+    out[0] = 1.0
+    for i in range(m):
+        for j in range(m):
+            out[m + i - j, j : (N - 1) * m : m] = -closed[:-1, i, j]
+    return out

@@ -1,0 +1,182 @@
+"""Whether what a source of noise moves is whitened by a response that changes along the record.
+
+`noise_model` whitens by one response, the average of a record. Where a flow, a speed or a load
+changes what a force or the noise of an input does, the residual that it leaves is neither
+stationary nor white under that, and passes for a function of what changed the response. A filter
+along the path (`varying_innovations`) is used in its place where the residual is likelier under it,
+at the same variances and spectra, or with the noise of the inputs in place of a force; variances
+under which it is not white are estimated anew (`varying_variances`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.estimation.errors_in_variables.thresholds import VARYING_RESPONSE
+from casid.estimation.noise.input_noise_floor import input_noise_floor
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import Steps, may_vary, multiplied_inputs, steps_along
+from casid.estimation.noise.variances import estimate_noise
+from casid.estimation.noise.varying_innovations import smoothed_sources
+from casid.estimation.noise.varying_variances import (
+    filters_along,
+    is_white,
+    weighted,
+    with_likeliest_variances,
+)
+from casid.estimation.simulation.simulation_error import SimulationError
+
+
+def with_varying_response(
+    noise: NoiseModel,
+    criterion: SimulationError,
+    x: Array,
+    known: Mapping[str, float],
+    *,
+    residuals: Sequence[Array] | None = None,
+) -> NoiseModel:
+    """The noise at `x` with the innovations of a response that varies, where it is seen to.
+
+    The same as given of a model that is linear and constant, with delays and lags beside its
+    equations, and of inputs that are filled between their samples. Where the input of a product is
+    noisy, its average response may fit the residual less well than that of a force: noise of the
+    inputs alone, at the floors of their channels, is what such forces are compared with.
+
+    Parameters
+    ----------
+    known : channel -> standard deviation of its white noise, where it is known.
+    residuals : (N, ny) an experiment, default those at `x`.
+    """
+    records = range(len(criterion.data))
+    moving = [n for n, sd in noise.source_sd.items() if sd > 0.0]
+    if not moving or criterion.model.stages or criterion.segments > 1 or not may_vary(criterion):
+        return noise
+    for e, d in enumerate(criterion.data):
+        if d.filled or len(criterion.starts_anew(e)):
+            return noise
+    if residuals is None:
+        residuals = [criterion.simulated(x, e).residual for e in records]
+    recorded = [steps_along(criterion, x, e) for e in records]
+    states = _tangents_of_states(criterion, x)
+    found, least, path = noise, np.inf, recorded
+    for alike in _alternatives(noise, criterion, x, known, residuals):
+        steps = _followed(alike, recorded, criterion, x, residuals)
+        filters = None if steps is None else filters_along(alike, steps)
+        if steps is None or filters is None:
+            continue
+        varying = replace(alike, varying=filters)
+        misfit = _misfit(varying, criterion, residuals, states)
+        if misfit < least:
+            found, least, path = varying, misfit, steps
+    if not found.varying:
+        return noise
+    if not is_white(found, criterion.data, residuals):
+        found = with_likeliest_variances(found, path, criterion, residuals)
+        least = _misfit(found, criterion, residuals, states)
+    average = _misfit(noise, criterion, residuals, states)
+    return found if least < average - VARYING_RESPONSE.likelier else noise
+
+
+def _followed(
+    noise: NoiseModel,
+    recorded: list[Steps],
+    criterion: SimulationError,
+    x: Array,
+    residuals: Sequence[Array],
+) -> list[Steps] | None:
+    """The steps along what noisy inputs are expected to have been, given the residuals.
+
+    What follows the noise of an input has it in common with the residual, and moves the mean of
+    their product; what is expected given that residual has nothing in common with it. Of a product
+    of an input and a state, what noise moves is linear in it along the simulated state and the
+    input as it was, exactly.
+
+    Parameters
+    ----------
+    recorded : the steps along the recorded inputs.
+
+    Returns
+    -------
+    The steps of each experiment; None where the filter along the recorded inputs diverges.
+    """
+    noisy = _noisy_inputs(noise, criterion)
+    if not noisy:
+        return recorded
+    filters = filters_along(noise, recorded, criterion.data)
+    if filters is None:
+        return None
+    out = []
+    for e, columns in enumerate(weighted(noise, criterion.data, residuals)):
+        off = smoothed_sources(filters[e], recorded[e], noisy, noise.weights, columns)
+        out.append(steps_along(criterion, x, e, off))
+    return out
+
+
+def _tangents_of_states(criterion: SimulationError, x: Array) -> list[Array]:
+    """(N, ny, m) of each experiment, by its initial states.
+
+    A fit far from the truth may begin in a state that it leaves at once: what is likelier for the
+    rest of a record is not judged by that.
+    """
+    names = criterion.model.states
+    states = [i for i, v in enumerate(criterion.variables) if v.source in names]
+    records = range(len(criterion.data))
+    return [criterion.simulated(x, e).jacobian[:, :, states] for e in records]
+
+
+def _misfit(
+    noise: NoiseModel,
+    criterion: SimulationError,
+    residuals: Sequence[Array],
+    states: Sequence[Array],
+) -> float:
+    """Minus the log-likelihood; forces and their spectra are priced by Schwarz's criterion."""
+    inputs = criterion.model.inputs
+    forces = sum(sd > 0.0 and name not in inputs for name, sd in noise.source_sd.items())
+    price = 0.5 * (forces + len(noise.spectra)) * float(np.log(criterion.n_samples))
+    return noise.minus_log_likelihood(residuals, states) + price
+
+
+def _alternatives(
+    noise: NoiseModel,
+    criterion: SimulationError,
+    x: Array,
+    known: Mapping[str, float],
+    residuals: Sequence[Array],
+) -> Iterator[NoiseModel]:
+    """What may act through a response that varies: the noise as found, or that of inputs alone.
+
+    What is found by the average response is no better than that. Floors do not need one.
+    """
+    inputs = criterion.model.inputs
+    measured = [n for n, u in inputs.items() if u.kind == "measured"]
+    if noise.spectra or any(noise.source_sd.get(n, 0.0) > 0.0 for n in measured):
+        yield noise
+    floors = input_noise_floor(criterion.data, list(inputs))
+    held = {n: known.get(n, floors[n]) for n in measured}
+    noisy = {n: sd for n, sd in held.items() if sd > 0.0}
+    if noisy and noisy != {n: sd for n, sd in noise.source_sd.items() if sd > 0.0}:
+        of_inputs = estimate_noise(
+            criterion,
+            x,
+            known={**known, **held},
+            residuals=residuals,
+            responses=noise.responses,
+            has_disturbances=False,
+        )
+        yield replace(of_inputs, known=noise.known)
+
+
+def _noisy_inputs(noise: NoiseModel, criterion: SimulationError) -> dict[str, float]:
+    """Standard deviations of those that multiply, and make a noticeable part of the residual."""
+    inputs = criterion.model.inputs
+    return {
+        name: noise.source_sd[name]
+        for name in multiplied_inputs(criterion)
+        if inputs[name].kind == "measured"
+        and noise.makes(name, VARYING_RESPONSE.noticeable, criterion.data)
+    }

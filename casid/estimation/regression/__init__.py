@@ -1,0 +1,1 @@
+"""Nonlinear regression of one measured response, with bounds and constraints."""

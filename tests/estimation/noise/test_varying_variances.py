@@ -1,0 +1,109 @@
+"""Variances of noise along a path: of a tank whose draws last one sample each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import casid
+from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.noise_response import multiplied_inputs, steps_along
+from casid.estimation.noise.variances import estimate_noise
+from casid.estimation.noise.varying_response import with_varying_response
+from casid.estimation.noise.varying_variances import (
+    filters_along,
+    is_white,
+    with_likeliest_variances,
+)
+from casid.estimation.simulation.simulation_error import SimulationError
+from tests.support import drawn_tank
+from tests.support.drawn_tank import FLOW, OUTPUT
+
+
+def at_the_truth(
+    seed: int, missing: Mapping[str, np.ndarray] | None = None
+) -> tuple[SimulationError, np.ndarray, list[np.ndarray]]:
+    """A record's criterion, the true unknowns, and the residual there."""
+    record = replace(drawn_tank.record(seed), missing=missing or {})
+    criterion = SimulationError(drawn_tank.model(), [casid.Experiment(record, {}, "r")])
+    true = {**drawn_tank.TRUTH, "top(0)": 323.15, "bottom(0)": 308.15}
+    x = np.array([true[name] for name in criterion.names])
+    return criterion, x, [criterion.simulated(x, 0).residual]
+
+
+def found_in(criterion: SimulationError, x: np.ndarray, **known: float) -> NoiseModel:
+    return with_varying_response(estimate_noise(criterion, x, known=known), criterion, x, known)
+
+
+def check(noise: NoiseModel) -> None:
+    error = noise.variance_error("flow") / (2 * FLOW)
+    assert 0.01 * FLOW < error < 0.05 * FLOW
+    assert noise.source_sd["flow"] == pytest.approx(FLOW, abs=3 * error)
+    assert max(noise.source_sd["upper"], noise.source_sd["lower"]) < 10.0  # W; the draws: 10 kW
+    # What each sample shows of a sensor's noise the noise of the flow hides in part.
+    assert noise.output_sd == pytest.approx([OUTPUT, OUTPUT], rel=0.35)
+
+
+def test_noise_of_a_meter_is_found_where_draws_last_a_sample():
+    """By the average response it is forces of hundreds of W in four of eight records."""
+    for seed in range(3):
+        criterion, x, residuals = at_the_truth(seed)
+        noise = found_in(criterion, x)
+        check(noise)
+        assert is_white(noise, criterion.data, residuals)
+
+
+def test_samples_that_are_missing_do_not_count():
+    missing = {"T_top": np.random.default_rng(1).random(drawn_tank.SAMPLES) < 0.2}
+    criterion, x, residuals = at_the_truth(1, missing)
+    noise = found_in(criterion, x)
+    check(noise)
+    assert is_white(noise, criterion.data, residuals)
+
+
+def test_a_variance_that_is_known_stays():
+    criterion, x, _ = at_the_truth(2)
+    noise = found_in(criterion, x, flow=1.3 * FLOW, T_top=2 * OUTPUT)
+    assert noise.varying
+    assert noise.source_sd["flow"] == pytest.approx(1.3 * FLOW)
+    assert noise.output_sd[0] == pytest.approx(2 * OUTPUT)
+    assert noise.variance_error("flow") == 0.0
+
+
+def test_the_likeliest_variances_are_those_wherever_they_are_begun():
+    """The likelihood falls to all sides by as much as their errors say."""
+    criterion, x, residuals = at_the_truth(3)
+    steps = [steps_along(criterion, x, 0)]
+
+    def along(output: float, flow: float) -> NoiseModel:
+        noise = estimate_noise(criterion, x)
+        sources = {**dict.fromkeys(noise.source_sd, 0.0), "flow": flow}
+        noise = replace(noise, output_sd=np.full(2, output), source_sd=sources)
+        return replace(noise, varying=filters_along(noise, steps) or ())
+
+    ends = [
+        with_likeliest_variances(along(output, flow), steps, criterion, residuals)
+        for output, flow in ((0.5 * OUTPUT, 2.0 * FLOW), (2.0 * OUTPUT, 0.5 * FLOW))
+    ]
+    assert ends[0].source_sd["flow"] == pytest.approx(ends[1].source_sd["flow"], rel=0.005)
+    assert ends[0].output_sd == pytest.approx(ends[1].output_sd, rel=0.02)
+
+    least = ends[0].minus_log_likelihood(residuals)
+    sd = ends[0].source_sd["flow"]
+    step = 2 * ends[0].variance_error("flow") / sd**2  # of the variance's logarithm
+    for sign in (-1.0, 1.0):
+        noise = replace(
+            ends[0], source_sd={**ends[0].source_sd, "flow": sd * np.exp(sign * step / 2)}
+        )
+        beside = replace(noise, varying=filters_along(noise, steps) or ())
+        fallen = beside.minus_log_likelihood(residuals) - least
+        # Two standard errors: two units, and more where the others do not follow.
+        assert 1.6 < fallen < 4.0
+
+
+def test_an_input_that_is_added_leaves_the_slopes_alone():
+    criterion, *_ = at_the_truth(0)
+    assert multiplied_inputs(criterion) == ("flow",)
