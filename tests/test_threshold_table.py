@@ -57,7 +57,7 @@ REGULAR = 1e-6  # and smaller: keeps divisions and decompositions regular
 ALLOWED = {
     ("diagnosis/advice/next_experiment.py", 120): "seconds that are printed as minutes",
     ("diagnosis/calibration/false_alarm_rate.py", 90): "seconds that are printed as minutes",
-    ("diagnosis/evidence/spikes.py", 3): "a sample with both its neighbours",
+    ("diagnosis/evidence/recording_faults/spikes.py", 3): "a sample with both its neighbours",
     ("estimation/simulation/record_agreement.py", 4): "records that a sentence names",
 }
 

@@ -65,7 +65,7 @@ class Sufficiency:
     )
 
 
-_PLATEAUS = f"{TESTS}/evidence/test_plateaus.py"
+_PLATEAUS = f"{TESTS}/evidence/recording_faults/test_plateaus.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,14 +110,14 @@ class Clipping:
         5.0,
         "steps of a counted channel by which a motion that turns has left its end where it is "
         "twice as far from the middle of it: four of a parabola",
-        f"{TESTS}/evidence/test_plateaus.py",
+        f"{TESTS}/evidence/recording_faults/test_plateaus.py",
     )
     turn_noise: float = _is(
         3.0,
         "times the noise of a reading, by which the readings beside the end of a motion that turns "
         "lie further from it: two, as the end is the furthest of the readings around it, and one "
         "for those beside",
-        f"{TESTS}/evidence/test_plateaus.py",
+        f"{TESTS}/evidence/recording_faults/test_plateaus.py",
     )
     apart: float = _is(
         3.0,
@@ -139,33 +139,33 @@ class Clipping:
         3.0,
         "times the error elsewhere, by which the simulation lies beyond a limit that the noise of "
         "the readings alone shows",
-        f"{TESTS}/evidence/test_plateaus.py",
+        f"{TESTS}/evidence/recording_faults/test_plateaus.py",
     )
     even: float = _is(
         0.5,
         "of the median noise: the quietest windows have more where the sensor's noise is all that "
         "bends the readings (of white noise 0.8), and less where motion does",
-        f"{TESTS}/evidence/test_plateaus.py",
+        f"{TESTS}/evidence/recording_faults/test_plateaus.py",
     )
     leap: float = _is(
         3.0,
         "times what 95 % of steps stay below: a step that what sticks by friction does not take, "
         "and a stuck sensor does as it goes on",
-        f"{TESTS}/evidence/test_stuck_sensors.py",
+        f"{TESTS}/evidence/recording_faults/test_stuck_sensors.py",
     )
     quiet_window: int = _is(
         20,
         "samples of a window that shows the noise of a reading where it hardly moves",
-        f"{TESTS}/evidence/test_stuck_sensors.py",
+        f"{TESTS}/evidence/recording_faults/test_stuck_sensors.py",
     )
     quiet_share: float = _is(
         0.1,
         "of these windows, the quietest: an encoder is without noise as its motion comes to rest",
-        f"{TESTS}/evidence/test_stuck_sensors.py",
+        f"{TESTS}/evidence/recording_faults/test_stuck_sensors.py",
     )
 
 
-_SPIKES = f"{TESTS}/evidence/test_spikes.py"
+_SPIKES = f"{TESTS}/evidence/recording_faults/test_spikes.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,8 +220,8 @@ class Outliers:
     )
 
 
-_STEPS_IN_GAPS = f"{TESTS}/evidence/test_steps_in_gaps.py"
-_LEVELS_IN_GAPS = f"{TESTS}/evidence/test_levels_in_gaps.py"
+_STEPS_IN_GAPS = f"{TESTS}/evidence/recording_faults/test_steps_in_gaps.py"
+_LEVELS_IN_GAPS = f"{TESTS}/evidence/recording_faults/test_levels_in_gaps.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +264,7 @@ class StepsInGaps:
     )
 
 
-_STEPS_BETWEEN_ROWS = f"{TESTS}/evidence/test_steps_between_rows.py"
+_STEPS_BETWEEN_ROWS = f"{TESTS}/evidence/recording_faults/test_steps_between_rows.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,7 +337,7 @@ class Prewhitening:
     likelier: float = _is(
         0.5,
         "units of log-likelihood by which a further round under a disturbance has to gain",
-        f"{TESTS}/search/test_disturbances.py",
+        f"{TESTS}/search/disturbance/test_disturbance_rival.py",
     )
     near_bound: float = _is(
         1e-6,
@@ -606,7 +606,7 @@ class Comparison:
         1e-9,
         "of the misfit that a candidate leaves beyond what noise of the inputs gives, at least: "
         "less is a difference of two larger numbers",
-        f"{TESTS}/search/test_disturbances.py",
+        f"{TESTS}/search/disturbance/test_disturbance_rival.py",
     )
     least_samples: float = _is(8.0, "independent samples of a residual, at least", POWER_STUDY)
     imitator: float = _is(
@@ -683,7 +683,7 @@ class Refits:
         30.0,
         "times its value that it may gain for a while: by an open door a room loses many times "
         "what its walls do",
-        f"{TESTS}/search/test_temporary_changes.py",
+        f"{TESTS}/search/instants/test_temporary_changes.py",
     )
     slope_room: float = _is(2.0, "times the slope to zero that a change may have", POWER_STUDY)
     inside: float = _is(0.9, "of these bounds between which a fit starts", POWER_STUDY)
@@ -727,13 +727,13 @@ class Jumps:
         0.5,
         "of chi^2, what another instant explains more, at least, where it is worth a refit: a "
         "third of a standard error of the instant is nothing to the choice of a cause",
-        f"{TESTS}/search/test_jump_times.py",
+        f"{TESTS}/search/instants/test_jump_times.py",
     )
     zoom: float = _is(12.0, "by which the next scan is finer", POWER_STUDY)
     fine: float = _is(
         5.0,
         "samples of reach at which the scans end: a tenth of one between two instants",
-        f"{TESTS}/search/test_jump_times.py",
+        f"{TESTS}/search/instants/test_jump_times.py",
     )
     knock: float = _is(
         10.0,
@@ -746,36 +746,36 @@ class Jumps:
     seen: float = _is(
         1e-6,
         "of the power of two steps, what their difference has at least: less is rounding",
-        f"{TESTS}/search/test_temporary_changes.py",
+        f"{TESTS}/search/instants/test_temporary_changes.py",
     )
     moves: int = _is(
         3,
         "Gauss-Newton steps of all instants at once, in the whole records beside all causes",
-        f"{TESTS}/search/test_temporary_changes.py",
+        f"{TESTS}/search/instants/test_temporary_changes.py",
     )
     still: float = _is(
         0.1,
         "standard errors of an instant, by which no step is worth a fit",
-        f"{TESTS}/search/test_temporary_changes.py",
+        f"{TESTS}/search/instants/test_temporary_changes.py",
     )
     z: float = _is(
         1.96,
         "standard errors within which an instant is followed: 95 % of a normal one",
-        f"{TESTS}/search/test_instant_errors.py",
+        f"{TESTS}/search/instants/test_instant_errors.py",
     )
     distances: int = _is(
         9,
         "distances on each side at which an instant is followed, and again between two of them",
-        f"{TESTS}/search/test_instant_errors.py",
+        f"{TESTS}/search/instants/test_instant_errors.py",
     )
     ends: int = _is(
         41,
         "instants of a scan at either end of what is over again: all pairs of them are compared",
-        f"{TESTS}/search/test_temporary_changes.py",
+        f"{TESTS}/search/instants/test_temporary_changes.py",
     )
 
 
-_FRICTION = f"{TESTS}/search/test_friction_speeds.py"
+_FRICTION = f"{TESTS}/search/friction/test_speeds.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -886,13 +886,13 @@ class Shortlist:
         2,
         "gains of channels that change, beside jumps and changes that are over again: a push of an "
         "input for an instant is a gain of it as well, and crowds out no force",
-        f"{TESTS}/search/test_temporary_changes.py",
+        f"{TESTS}/search/instants/test_temporary_changes.py",
     )
     passing: int = _is(
         4,
         "changes that are over again beside them, as many as of jumps: a sensor's bias for a while "
         "looks like a force for a while and like two parameters",
-        f"{TESTS}/search/test_temporary_changes.py",
+        f"{TESTS}/search/instants/test_temporary_changes.py",
     )
     lags: int = _is(
         4,
@@ -904,12 +904,12 @@ class Shortlist:
         6,
         "effects that are seen beside a disturbance, at most, where the first cause is sought "
         "among them: many look alike there as well",
-        f"{TESTS}/search/test_first_cause.py",
+        f"{TESTS}/search/disturbance/test_first_cause.py",
     )
     alike: float = _is(
         0.99,
         "|cosine| from which an effect is refitted beside the best of those: it explains 98 %",
-        f"{TESTS}/search/test_first_cause.py",
+        f"{TESTS}/search/disturbance/test_first_cause.py",
     )
     switch: int = _is(
         3,
@@ -1118,7 +1118,7 @@ class Disturbed:
         6,
         "effects that score best, beside a disturbance and under the sensors' noise, whose gain "
         "beside a disturbance is computed",
-        f"{TESTS}/search/test_disturbance_alone.py",
+        f"{TESTS}/search/disturbance/test_sole_disturbance.py",
     )
     followed: float = _is(
         0.5,
@@ -1130,7 +1130,7 @@ class Disturbed:
         0.5,
         "of the excess misfit: an effect that explains more by its score is refitted beside a "
         "disturbance, however little its tangent gains there",
-        f"{TESTS}/search/test_disturbance_alone.py",
+        f"{TESTS}/search/disturbance/test_sole_disturbance.py",
     )
 
 
@@ -1142,7 +1142,7 @@ class Growth:
         0.1,
         "by which the held-out error may grow where a disturbance is most of it, with or without "
         "the cause",
-        f"{TESTS}/search/test_disturbances.py",
+        f"{TESTS}/search/disturbance/test_disturbance_rival.py",
     )
     by_least_squares: float = _is(
         0.5,

@@ -29,7 +29,6 @@ from casid.arrays import TINY, Array
 from casid.data.arguments import in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.diagnosis.evidence.corrupted_samples import without_corrupted
 from casid.diagnosis.evidence.gain_under_disturbance import (
     largest_gain_under_disturbance,
     unwhitened,
@@ -40,6 +39,7 @@ from casid.diagnosis.evidence.prewhitening import (
     not_below,
 )
 from casid.diagnosis.evidence.recorded_channels import varying_channels, with_unused_columns
+from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
 from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.signature_columns import Columns, extended_columns

@@ -11,17 +11,23 @@ import numpy as np
 
 from casid.data.problem import Problem
 from casid.diagnosis.attempts import FAILURES, reason_of
-from casid.diagnosis.evidence.corrupted_samples import CorruptedSamples, without_corrupted
-from casid.diagnosis.evidence.levels_in_gaps import with_levels_in_gaps
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.recorded_channels import (
     channels_held_out_too,
     varying_channels,
 )
-from casid.diagnosis.evidence.rectified_channels import Rectified, rectified_channel
+from casid.diagnosis.evidence.recording_faults.corrupted_samples import (
+    CorruptedSamples,
+    without_corrupted,
+)
+from casid.diagnosis.evidence.recording_faults.levels_in_gaps import with_levels_in_gaps
+from casid.diagnosis.evidence.recording_faults.rectified_channels import (
+    Rectified,
+    rectified_channel,
+)
+from casid.diagnosis.evidence.recording_faults.steps_between_rows import steps_between_rows
+from casid.diagnosis.evidence.recording_faults.steps_in_gaps import with_steps_in_gaps
 from casid.diagnosis.evidence.robust_errors import std_error
-from casid.diagnosis.evidence.steps_between_rows import steps_between_rows
-from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
 from casid.diagnosis.evidence.sufficiency import (
     few_step_fit,
     weighted_as_white,

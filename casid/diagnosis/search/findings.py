@@ -11,15 +11,15 @@ from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
-from casid.diagnosis.search.disturbance_alone import disturbance_alone
-from casid.diagnosis.search.disturbance_rival import (
+from casid.diagnosis.search.disturbance.disturbance_rival import (
     Beside,
-    leaves_disturbance_alone,
+    leaves_only_disturbance,
     searched_beside,
     weighed_against_disturbances,
 )
-from casid.diagnosis.search.first_cause import leaves_noise, seen_beside_disturbance
-from casid.diagnosis.search.instant_errors import with_instant_errors
+from casid.diagnosis.search.disturbance.first_cause import leaves_noise, seen_beside_disturbance
+from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
+from casid.diagnosis.search.instants.instant_errors import with_instant_errors
 from casid.diagnosis.search.promotion import with_likelier_rivals
 from casid.diagnosis.search.reconsideration import reconsidered
 from casid.diagnosis.search.refinement import Adoption
@@ -187,7 +187,7 @@ def _found(
     """The search, the model as it is, and the causes that no random disturbance explains."""
     fit, start, attempt = baseline.fit, baseline.start, search.attempts.attempt
     what = "the test whether a random disturbance explains all that the model leaves"
-    alone = attempt(what, lambda: disturbance_alone(search, start, fit))
+    alone = attempt(what, lambda: sole_disturbance(search, start, fit))
     if alone is not None:
         start = replace(start, beside=alone)
         return search, start, Adoption((), start, None)
@@ -201,7 +201,7 @@ def _found(
         elif seen is not None:
             again = search.with_disturbances()
             beside = attempt(what, lambda: searched_beside(again, seen.at, baseline, settings))
-            if beside and attempt(what, lambda: leaves_disturbance_alone(search, beside)):
+            if beside and attempt(what, lambda: leaves_only_disturbance(search, beside)):
                 return beside.search, beside.bare, beside.found
             if beside and beside.found.fit is not None:
                 leaves = partial(leaves_noise, search, beside.found.fit, settings)

@@ -38,7 +38,7 @@ from casid.diagnosis.search.candidates import (
     taken_out,
 )
 from casid.diagnosis.search.contributions import contributions_of
-from casid.diagnosis.search.instant_errors import moved_in_time
+from casid.diagnosis.search.instants.instant_errors import moved_in_time
 from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (

@@ -35,14 +35,14 @@ from casid.diagnosis.search.imitations import (
     is_at_resonance,
     is_further_friction,
 )
+from casid.diagnosis.search.instants.jump_times import events_of, is_known_event, placed
+from casid.diagnosis.search.instants.temporary_changes import temporary_changes
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
-from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.lags_of_channels import delays_of_best, lags_beside
 from casid.diagnosis.search.memory import Memory
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.search.soft_stops import without_soft_stops
 from casid.diagnosis.search.swinging_parts import beside_lines
-from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import BUDGET, COMPARISON, RESTARTS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError

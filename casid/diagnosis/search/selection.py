@@ -18,12 +18,13 @@ from casid.diagnosis.search.alternatives import (
     without_imitations,
 )
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
-from casid.diagnosis.search.disturbance_alone import disturbance_alone, pays_beside
+from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside, sole_disturbance
 from casid.diagnosis.search.friction.sharpness import (
     with_sharp_friction,
     with_sharp_friction_beside,
     without_blunt_reversals,
 )
+from casid.diagnosis.search.instants.event_renaming import with_last_event_renamed
 from casid.diagnosis.search.powers_of_signals import with_better_powers
 from casid.diagnosis.search.reconsideration import better_rivals
 from casid.diagnosis.search.refinement import (
@@ -35,7 +36,6 @@ from casid.diagnosis.search.refinement import (
 )
 from casid.diagnosis.search.residual_check import is_more_than_noise, is_noise_alone
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.search.same_event import with_last_event_renamed
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     Soundness,
@@ -151,7 +151,7 @@ class _Selection:
         if not named or any(map(is_imitator, named)) or search.weighing.takes_disturbances:
             return False
         what = "the test whether a random disturbance explains all that the causes leave"
-        alone = partial(disturbance_alone, search, self.at, self.fit, named)
+        alone = partial(sole_disturbance, search, self.at, self.fit, named)
         return search.attempts.attempt(what, alone) is not None
 
     def adopt_next(self) -> bool:

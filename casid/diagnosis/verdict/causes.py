@@ -9,15 +9,15 @@ import numpy as np
 
 from casid.arrays import TINY
 from casid.data.reading.columns import ColumnSpec
-from casid.diagnosis.evidence.corrupted_samples import confirmed
-from casid.diagnosis.evidence.plateaus import Plateaus
-from casid.diagnosis.evidence.rectified_channels import Rectified
-from casid.diagnosis.evidence.spikes import Spikes
-from casid.diagnosis.evidence.stuck_sensors import Standstills
+from casid.diagnosis.evidence.recording_faults.corrupted_samples import confirmed
+from casid.diagnosis.evidence.recording_faults.plateaus import Plateaus
+from casid.diagnosis.evidence.recording_faults.rectified_channels import Rectified
+from casid.diagnosis.evidence.recording_faults.spikes import Spikes
+from casid.diagnosis.evidence.recording_faults.stuck_sensors import Standstills
 from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
 from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.findings import Findings
-from casid.diagnosis.search.jump_times import events_of
+from casid.diagnosis.search.instants.jump_times import events_of
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, SCORES
 from casid.diagnosis.verdict.cause import Alternative, Cause

@@ -294,7 +294,7 @@ class RectifiedSensors:
         0.1,
         "of its largest reading, how far the noise of a channel of sizes may reach below zero, and "
         "the least that a simulation of either sign has on both sides",
-        "tests/diagnosis/evidence/test_rectified_channels.py",
+        "tests/diagnosis/evidence/recording_faults/test_rectified_channels.py",
     )
 
 

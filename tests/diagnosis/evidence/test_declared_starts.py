@@ -18,7 +18,7 @@ from casid.diagnosis.evidence.prewhitening import (
     minus_log_likelihood,
 )
 from casid.diagnosis.evidence.robust_errors import std_error
-from casid.diagnosis.search.disturbance_price import under_likelier_disturbance
+from casid.diagnosis.search.disturbance.disturbance_price import under_likelier_disturbance
 from casid.diagnosis.thresholds import RESTARTS
 from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import binom
 
 import casid
-from casid.diagnosis.evidence.corrupted_samples import without_corrupted
+from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
 from casid.diagnosis.evidence.residual_tests import NOISE, residual_tests
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.estimation.holdout import split_records

@@ -12,7 +12,7 @@ import pytest
 
 import casid
 from casid.data.record import Record
-from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
+from casid.diagnosis.evidence.recording_faults.steps_in_gaps import with_steps_in_gaps
 from casid.errors import DataError
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model

@@ -10,8 +10,8 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.score_tests import Family, Score, ScoreTable
-from casid.diagnosis.search import temporary_changes as temporary
-from casid.diagnosis.search.temporary_changes import temporary_changes
+from casid.diagnosis.search.instants import temporary_changes as temporary
+from casid.diagnosis.search.instants.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.model.effects.clock_effects import bias_step, gain_step, offset_step
 from casid.model.effects.effect import Effect

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.steps_between_rows import steps_between_rows
+from casid.diagnosis.evidence.recording_faults.steps_between_rows import steps_between_rows
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 V, CL, TS, N = 10.0, 8.0, 0.1, 400  # L, L/h, h

@@ -10,9 +10,9 @@ import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.search.candidates import Adopted, Candidate
+from casid.diagnosis.search.instants.event_renaming import with_last_event_renamed
 from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.search.same_event import with_last_event_renamed
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.clock_effects import offset_step

@@ -13,7 +13,7 @@ import pytest
 
 import casid
 from casid.data.record import Record
-from casid.diagnosis.evidence.steps_in_gaps import with_steps_in_gaps
+from casid.diagnosis.evidence.recording_faults.steps_in_gaps import with_steps_in_gaps
 from casid.estimation.holdout import split_records, whole_simulation
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.input_gaps import with_gaps_treated

@@ -16,11 +16,11 @@ from casid.diagnosis.evidence.gain_under_disturbance import (
 )
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.diagnosis.evidence.signature_columns import extended_columns
-from casid.diagnosis.search.disturbance_alone import disturbance_alone
-from casid.diagnosis.search.disturbance_price import price_of
-from casid.diagnosis.search.jump_times import placed_by_tangents
+from casid.diagnosis.search.disturbance.disturbance_price import price_of
+from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
+from casid.diagnosis.search.instants.jump_times import placed_by_tangents
+from casid.diagnosis.search.instants.temporary_changes import temporary_changes
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import RESTARTS
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.holdout import split_records
@@ -31,7 +31,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.clock_effects import offset_step
 from casid.model.effects.effect import Effect
-from tests.diagnosis.search.test_disturbances import hull, record
+from tests.diagnosis.search.disturbance.test_disturbance_rival import hull, record
 from tests.diagnosis.test_effects_in_time import T, slide
 from tests.diagnosis.test_effects_in_time import record as loaded
 
@@ -69,14 +69,14 @@ def assert_exact_instants_gain(bare: Weighted, start: Weighted, *, rough: Effect
 @pytest.mark.slow
 def test_a_sea_alone_leaves_nothing_to_seek() -> None:
     search, start, base = started(noisy(record(1)))
-    alone = disturbance_alone(search, start, base)
+    alone = sole_disturbance(search, start, base)
     assert alone is not None
     assert list(alone.noise.spectra) == ["moment"]
 
 
 def test_a_drag_in_a_sea_has_to_be_sought() -> None:
     search, start, base = started(noisy(record(3, drag=1.5)))
-    assert disturbance_alone(search, start, base) is None
+    assert sole_disturbance(search, start, base) is None
 
 
 @pytest.mark.slow
@@ -86,7 +86,7 @@ def test_in_a_sea_of_many_times_the_noise_refits_tell_whether_anything_has_to_be
 ) -> None:
     search, start, base = started(record(3, drag=drag))
     assert error_over_noise(base, start.noise) > RESTARTS.far
-    assert (disturbance_alone(search, start, base) is None) == (drag > 0.0)
+    assert (sole_disturbance(search, start, base) is None) == (drag > 0.0)
 
 
 def test_a_line_beside_a_sea_is_sought() -> None:
@@ -97,7 +97,7 @@ def test_a_line_beside_a_sea_is_sought() -> None:
     roll = -engine / w**2 * np.cos(w * sea.Ts * np.arange(sea.N))
     moved = {"fin": sea["fin"], "roll": sea["roll"] + roll, "rate": sea["rate"] + rate}
     search, start, base = started(casid.Record(moved, sea.units, Ts=sea.Ts))
-    assert disturbance_alone(search, start, base) is None
+    assert sole_disturbance(search, start, base) is None
 
 
 def aired(seed: int, window: float) -> tuple[Search, Weighted, Fit]:
@@ -155,7 +155,7 @@ def test_a_load_that_sets_in_gains_beside_a_disturbance_at_its_exact_instant() -
     exact = placed_by_tangents(start, rough)
     assert exact.variant == pytest.approx(21.0 - 0.5 * of.Ts, abs=0.3 * of.Ts)
     assert_exact_instants_gain(bare, start, rough=rough, exact=exact)
-    assert disturbance_alone(search, start, base) is None
+    assert sole_disturbance(search, start, base) is None
 
 
 def heated(seed: int, *, late: float = 0.0, wander: float = 0.0) -> tuple[Search, Weighted, Fit]:
@@ -201,13 +201,13 @@ def test_an_inlet_that_comes_late_is_no_slow_disturbance() -> None:
     To first order in L a disturbance explains it as well; refitted, L pays for itself.
     """
     search, start, base = heated(1, late=100.0)
-    assert disturbance_alone(search, start, base) is None
+    assert sole_disturbance(search, start, base) is None
 
 
 @pytest.mark.slow
 def test_a_slow_disturbance_beside_a_slow_inlet_leaves_nothing_to_seek() -> None:
     search, start, base = heated(1, wander=15.0)
-    alone = disturbance_alone(search, start, base)
+    alone = sole_disturbance(search, start, base)
     assert alone is not None
     assert list(alone.noise.spectra) == ["heat"]
 
@@ -304,4 +304,4 @@ def test_a_push_that_the_parameters_followed_has_to_be_sought() -> None:
     """Tangents at a fit far from the record misplace it, and what is left is a slow disturbance."""
     search, start, base = started(*craft(gust=3.0))
     assert error_over_noise(base, start.noise) > RESTARTS.far
-    assert disturbance_alone(search, start, base) is None
+    assert sole_disturbance(search, start, base) is None

@@ -15,7 +15,7 @@ from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import scan_pairs
 from casid.diagnosis.search.candidates import Adopted, Candidate
-from casid.diagnosis.search.instant_errors import moved_in_time, with_instant_errors
+from casid.diagnosis.search.instants.instant_errors import moved_in_time, with_instant_errors
 from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records
@@ -23,7 +23,15 @@ from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.clock_effects import at_instant, gain_step
 from casid.model.effects.parameter_effects import parameter_jump
-from tests.diagnosis.search.test_temporary_changes import BEGIN, END, NOISE, TS, N, leak, record
+from tests.diagnosis.search.instants.test_temporary_changes import (
+    BEGIN,
+    END,
+    NOISE,
+    TS,
+    N,
+    leak,
+    record,
+)
 
 ONCE = FitSettings(starts=1)
 HALF = 0.5 * TS  # a held step sets in that much before the first sample of which it is all

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
-from casid.diagnosis.search.disturbance_price import under_likelier_disturbance
+from casid.diagnosis.search.disturbance.disturbance_price import under_likelier_disturbance
 from casid.diagnosis.search.refinement import weighed_whole, whole_fit
 from casid.diagnosis.search.rounds import Search, scores_to_refit
 from casid.diagnosis.settings import DiagnosisSettings

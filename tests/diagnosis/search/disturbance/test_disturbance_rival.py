@@ -12,10 +12,13 @@ from scipy.signal import lfilter
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
-from casid.diagnosis.search import disturbance_rival
 from casid.diagnosis.search.candidates import Adopted, Candidate
-from casid.diagnosis.search.disturbance_price import as_white
-from casid.diagnosis.search.disturbance_rival import _each_beside, minus_log_likelihood_beside
+from casid.diagnosis.search.disturbance import disturbance_rival
+from casid.diagnosis.search.disturbance.disturbance_price import as_white
+from casid.diagnosis.search.disturbance.disturbance_rival import (
+    _each_beside,
+    minus_log_likelihood_beside,
+)
 from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.settings import DiagnosisSettings

@@ -23,11 +23,14 @@ from casid.diagnosis.evidence.score_tests import Score, ScoreTable
 from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.evidence.signature_columns import extended_columns
 from casid.diagnosis.search.candidates import Candidate
-from casid.diagnosis.search.disturbance_price import price_of, under_likelier_disturbance
-from casid.diagnosis.search.jump_times import placed, placed_by_tangents
+from casid.diagnosis.search.disturbance.disturbance_price import (
+    price_of,
+    under_likelier_disturbance,
+)
+from casid.diagnosis.search.instants.jump_times import placed, placed_by_tangents
+from casid.diagnosis.search.instants.temporary_changes import temporary_changes
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search, strongest_of_each
-from casid.diagnosis.search.temporary_changes import temporary_changes
 from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.variances import error_over_noise
@@ -37,7 +40,7 @@ from casid.model.effects.periodic import sinusoid
 from casid.model.effects.search_ranges import PARAMETER_JUMPS, PERIODIC_FORCES
 
 
-def disturbance_alone(
+def sole_disturbance(
     search: Search, start: Weighted, base: Fit, adopted: Sequence[Candidate] = ()
 ) -> Weighted | None:
     """A model under the disturbance that is all it leaves; None where more is left.

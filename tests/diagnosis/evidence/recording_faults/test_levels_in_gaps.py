@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 import casid
 from casid.data.record import Record
-from casid.diagnosis.evidence.levels_in_gaps import with_levels_in_gaps
+from casid.diagnosis.evidence.recording_faults.levels_in_gaps import with_levels_in_gaps
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model

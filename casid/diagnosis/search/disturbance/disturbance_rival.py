@@ -41,8 +41,8 @@ from casid.diagnosis.evidence.prewhitening import (
 )
 from casid.diagnosis.search.alternatives import is_imitator
 from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
-from casid.diagnosis.search.disturbance_alone import disturbance_alone
-from casid.diagnosis.search.disturbance_price import as_white, price_of
+from casid.diagnosis.search.disturbance.disturbance_price import as_white, price_of
+from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
 from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
@@ -177,7 +177,7 @@ def searched_beside(
     return Beside(again, of, other, score, bare)
 
 
-def leaves_disturbance_alone(search: Search, beside: Beside) -> bool:
+def leaves_only_disturbance(search: Search, beside: Beside) -> bool:
     """True if a random disturbance is all that the causes found beside one leave.
 
     What a search under the sensors' noise would find besides would pay for itself there.
@@ -187,7 +187,7 @@ def leaves_disturbance_alone(search: Search, beside: Beside) -> bool:
         return False
     start = search.weighing.weigh(fit.criterion.model, fit, rounds=1)
     causes = [a.candidate for a in beside.found.adopted]
-    return disturbance_alone(search, start, fit, causes) is not None
+    return sole_disturbance(search, start, fit, causes) is not None
 
 
 def minus_log_likelihood_beside(

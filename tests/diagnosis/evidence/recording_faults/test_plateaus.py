@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from casid.diagnosis.evidence.plateaus import find_plateaus
+from casid.diagnosis.evidence.recording_faults.plateaus import find_plateaus
 from casid.diagnosis.thresholds import CLIPPING
 
 Array = np.ndarray

@@ -20,7 +20,7 @@ from scipy.sparse import csc_array
 from casid.arrays import TINY, Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.sampling import gaps_of, stretches_of
-from casid.diagnosis.evidence.steps_in_gaps import begun_as, is_busy, with_columns
+from casid.diagnosis.evidence.recording_faults.steps_in_gaps import begun_as, is_busy, with_columns
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
 from casid.estimation.simulation.input_gaps import FILLED

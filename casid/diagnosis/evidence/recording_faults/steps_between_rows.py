@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.steps_in_gaps import is_busy
+from casid.diagnosis.evidence.recording_faults.steps_in_gaps import is_busy
 from casid.diagnosis.thresholds import STEPS_BETWEEN_ROWS
 from casid.estimation.simulation.known_simulation import outputs_by
 from casid.estimation.simulation.minimization import Fit

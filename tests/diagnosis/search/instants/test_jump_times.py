@@ -7,8 +7,8 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.search.instants.jump_times import is_known_event, placed
 from casid.diagnosis.search.joint_refit import Refitting
-from casid.diagnosis.search.jump_times import is_known_event, placed
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.parameter_effects import parameter_jump
 

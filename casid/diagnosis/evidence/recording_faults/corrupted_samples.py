@@ -10,14 +10,14 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.sampling import stretches_of
-from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
-from casid.diagnosis.evidence.spikes import (
+from casid.diagnosis.evidence.recording_faults.plateaus import Plateaus, find_plateaus
+from casid.diagnosis.evidence.recording_faults.spikes import (
     Spikes,
     find_spikes,
     spread_of_differences,
     starts_apart,
 )
-from casid.diagnosis.evidence.stuck_sensors import Standstills, find_standstills
+from casid.diagnosis.evidence.recording_faults.stuck_sensors import Standstills, find_standstills
 from casid.diagnosis.thresholds import OUTLIERS
 from casid.estimation.holdout import Split, restarts, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit

@@ -16,14 +16,14 @@ from scipy.stats import norm
 
 import casid
 from casid.diagnosis.evidence import baseline
-from casid.diagnosis.evidence.corrupted_samples import (
+from casid.diagnosis.evidence.recording_faults.corrupted_samples import (
     _above_neighbours,
     _act_later,
     _at_onsets,
     _is_tail,
     without_corrupted,
 )
-from casid.diagnosis.evidence.spikes import (
+from casid.diagnosis.evidence.recording_faults.spikes import (
     _fourth_moment,
     _from_neighbours,
     find_spikes,

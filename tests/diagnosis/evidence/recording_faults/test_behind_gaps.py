@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.corrupted_samples import without_corrupted
+from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.input_gaps import with_gaps_treated

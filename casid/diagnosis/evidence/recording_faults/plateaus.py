@@ -18,7 +18,7 @@ from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
 from casid.data.sampling import stretches_of
-from casid.diagnosis.evidence.stuck_sensors import noise_in_windows
+from casid.diagnosis.evidence.recording_faults.stuck_sensors import noise_in_windows
 from casid.diagnosis.thresholds import CLIPPING
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from casid.diagnosis.evidence.stuck_sensors import Standstills, find_standstills
+from casid.diagnosis.evidence.recording_faults.stuck_sensors import Standstills, find_standstills
 
 Array = np.ndarray
 
