@@ -23,8 +23,8 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 from casid.model.units import from_si
 
-VALUES = 201
-"""Values of a parameter between its bounds, at which the sign of an inertia is seen."""
+GRID = 201
+"""Points between the bounds of a parameter at which the sign of an inertia is evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +80,8 @@ def other_side(criterion: SimulationError) -> OtherSide | None:
         if not np.isfinite(upper - lower):
             continue
         place, begun = e.parameters.index(name), float(p[e.parameters.index(name)])
-        at = np.repeat(p[:, None], VALUES, axis=1)
-        at[place] = values = np.linspace(lower, upper, VALUES)
+        at = np.repeat(p[:, None], GRID, axis=1)
+        at[place] = values = np.linspace(lower, upper, GRID)
         sizes = size(x0, u, at).full().ravel()
         for k in np.flatnonzero(sizes[1:] * sizes[:-1] < 0.0):
             zero = float(np.interp(0.0, *_rising(sizes[k : k + 2], values[k : k + 2])))

@@ -1,13 +1,13 @@
 """The adopted causes as a set: none superfluous, none for a better rival, none too small to matter.
 
-Causes are adopted one after another, and the first ones while the others are missing. The set is
-therefore refined when it is complete, by the errors of all causes together:
+Causes are adopted one after another, the first ones while the others are still missing. The
+complete set is therefore refined by the errors of all causes together:
 
-- a cause that the others have made insignificant is taken out;
-- where misfit passed for noise, gains were no likelihoods: a cause whose rival, in its place beside
-  the others, fits as well in practice and predicts what was held out better gives way to it, and a
-  function without a name to a named effect that fits and predicts as well in practice;
-- a store whose time constant ends at a bound gives way to what is simpler and does the same;
+- a cause that the others have made insignificant is removed;
+- where the noise model absorbed misfit, gains were no likelihoods: a cause is replaced by a rival
+  that, beside the other causes, fits as well in practice and has a smaller held-out error, and a
+  function without a name by a named effect that fits and predicts as well in practice;
+- a store whose time constant ends at a bound is replaced by a simpler effect that does the same;
 - a cause that explains less than `JUDGING.practical` of the misfit is a small remainder: reported,
   but not as a cause, unless a parameter of the model is another one without it (`JUDGING.carried`):
   dry friction that viscous friction replaces but for little; or unless an output errs far more
@@ -61,7 +61,7 @@ SUPERFLUOUS = "the other causes together leave nothing for it to explain"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adoption:
-    """What was adopted, the model with it under its noise, and its simulation-error fit."""
+    """Adopted causes, the model with them weighted by its noise, and its simulation-error fit."""
 
     adopted: tuple[Adopted, ...]
     at: Weighted
@@ -71,12 +71,12 @@ class Adoption:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """The steps from what was adopted to the causes.
+    """Steps that refine adopted causes as a set: each takes an `Adoption` and returns another.
 
     Attributes
     ----------
     units : of the outputs, see `simulation_errors`.
-    start, base : the model as it is under its noise, and its simulation-error fit.
+    start, base : the model without causes, weighted by its noise, and its simulation-error fit.
     """
 
     search: Search
@@ -88,11 +88,11 @@ class Refinement:
 
     @cached_property
     def before(self) -> SimulationErrors:
-        """The errors of the model as it is, in the units in which all others are compared."""
+        """The errors of the model without causes, in the units in which all are compared."""
         return simulation_errors(self.base, self.split, self.units)
 
-    def significant(self, found: Adoption) -> Adoption:
-        """Without what later causes have left less significant than it had to be, last first."""
+    def without_insignificant(self, found: Adoption) -> Adoption:
+        """Without causes that are no longer significant beside those adopted later, last first."""
         kept, fit, refused = list(found.adopted), found.fit, []
         assert fit is not None
         least = max(self.search.distance_when_chosen, ROUNDS.backward_wald)
@@ -103,18 +103,20 @@ class Refinement:
                 continue
             if abs(wald(fit, first, null_values(c)[first])) > least:
                 continue
-            without = self.without(fit, c)
+            without = self.fit_without(fit, c)
             if c.effect.cost > 1 and self.is_missed(fit, without):
                 continue  # its parameters exchange for each other, and none is known by itself
             refused.append((c, SUPERFLUOUS))
             kept.remove(a)
             fit = without
-        lean = self._lean(found, kept, fit) if refused else found
+        lean = self._rebuilt_unless_worse(found, kept, fit) if refused else found
         if lean is not found:
             self.search.refused += refused
         return lean
 
-    def needed(self, found: Adoption, why: Callable[[Adopted, Fit, Fit], str]) -> Adoption:
+    def without_unneeded(
+        self, found: Adoption, why: Callable[[Adopted, Fit, Fit], str]
+    ) -> Adoption:
         """Without causes that are not needed beside the others, last first; one stays.
 
         Parameters
@@ -126,17 +128,17 @@ class Refinement:
         for a in reversed(found.adopted):
             if len(kept) == 1:
                 break
-            without = self.without(fit, a.candidate)
+            without = self.fit_without(fit, a.candidate)
             reason = why(a, fit, without)
             if reason:
                 refused.append((a.candidate, reason))
                 kept.remove(a)
                 fit = without
         self.search.refused += refused
-        return self.built(found, kept, fit) if refused else found
+        return self.rebuilt(found, kept, fit) if refused else found
 
-    def exchanged(self, found: Adoption) -> Adoption:
-        """With rivals in the place of causes that predict worse."""
+    def with_better_rivals(self, found: Adoption) -> Adoption:
+        """With causes replaced by rivals that have a smaller held-out error."""
         if not self.start.noise_absorbs_misfit or found.fit is None:
             return found
         adopted, fit = list(found.adopted), found.fit
@@ -170,20 +172,20 @@ class Refinement:
                     ]
                     adopted[i] = exchanged(found.adopted[i], placed[i])
                     fit, errors, is_new = other, after, True
-        return self.refined(found, adopted, fit) if is_new else found
+        return self.reweighed(found, adopted, fit) if is_new else found
 
     def _tried(
         self, causes: Sequence[Candidate], near: Fit
     ) -> tuple[list[Candidate], Fit, SimulationErrors]:
-        """Other causes in the model, their fit and its errors."""
+        """Other causes by their new names, the fit of the model with them, and its errors."""
         placed, fit = self.with_causes(causes, near)
         return placed, fit, simulation_errors(fit, self.split, self.units)
 
-    def in_motion(self, found: Adoption) -> Adoption:
-        """With the motion that the part adopted last has when a record begins, where it has one.
+    def with_initial_motion(self, found: Adoption) -> Adoption:
+        """With the initial motion of the part adopted last estimated, where that is likelier.
 
-        At rest it is no less a part. Free to begin anyhow, it imitates laws by its own decay while
-        they are missing.
+        By Schwarz's criterion. A part is first adopted at rest: with free initial states, it
+        imitates by its own decay the laws that are still missing.
         """
         last, fit = found.adopted[-1], found.fit
         if fit is None or not may_move(last.candidate):
@@ -194,17 +196,17 @@ class Refinement:
         causes[-1] = replace(causes[-1], effect=in_motion(self.start.model, causes[-1]))
         placed, other = self.with_causes(causes, fit)
         adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
-        new = self.refined(found, adopted, other)
+        new = self.reweighed(found, adopted, other)
         more = len(other.x) - len(fit.x)
         price = 0.5 * more * float(np.log(other.criterion.n_samples))
         gain = minus_log_likelihood(found.at) - minus_log_likelihood(new.at)
         return new if gain > price else found
 
-    def in_time(self, found: Adoption) -> Adoption:
-        """With the instants of what sets in where the whole records have them beside all causes.
+    def with_refitted_instants(self, found: Adoption) -> Adoption:
+        """With the instants of changes refitted to the whole records, beside all causes.
 
         They were placed under the noise of a model without the cause, which may weigh the outputs
-        by far more than they have.
+        by far larger errors than they have.
         """
         adopted, fit = list(found.adopted), found.fit
         assert fit is not None
@@ -217,21 +219,24 @@ class Refinement:
                 break
             adopted = [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
             fit = other
-        return found if fit is found.fit else self.refined(found, adopted, fit)
+        return found if fit is found.fit else self.reweighed(found, adopted, fit)
 
-    def in_time_beside(self, found: Adoption) -> Adoption:
-        """The same of what was found beside a disturbance, where that is likelier; else as it was.
+    def with_likelier_instants(self, found: Adoption) -> Adoption:
+        """With refitted instants of changes found beside a disturbance, where that is likelier.
 
-        A disturbance takes up what a change leaves that was placed too early or too late.
+        A disturbance explains what a change leaves that was placed too early or too late.
         """
         if not any(a.candidate.effect.sets_in for a in found.adopted):
             return found
-        return self.likelier_beside(found, self.in_time)
+        return self.if_likelier(found, self.with_refitted_instants)
 
-    def likelier_beside(self, found: Adoption, refined: Callable[[Adoption], Adoption]) -> Adoption:
-        """What was found beside a disturbance, `refined` by its simulation alone; or as it was.
+    def if_likelier(self, found: Adoption, refined: Callable[[Adoption], Adoption]) -> Adoption:
+        """The likelier of `found` and `refined(found)`, each with the disturbance that it leaves.
 
-        Whichever is likelier with the disturbance that it leaves.
+        Parameters
+        ----------
+        found : what was found beside a disturbance.
+        refined : a step that refines it by its simulation error alone.
         """
         if found.fit is None:
             return found
@@ -240,11 +245,11 @@ class Refinement:
         new = refined(replace(found, adopted=tuple(adopted), fit=fit))
         return min(found, new, key=lambda each: minus_log_likelihood(each.at))
 
-    def main(self, found: Adoption) -> Adoption:
-        """Without what explains too little and carries no parameter, the smallest first.
+    def without_small(self, found: Adoption) -> Adoption:
+        """Without causes that explain too little and bias no parameter; they become remainders.
 
-        Its effect stays in the model where it shows and a cause's size would otherwise move by more
-        than its standard error: the errors would be small, and the size be biased.
+        The smallest first. The effect of one stays in the model if a cause's size would otherwise
+        move by more than its standard error: the errors would be small, and the size biased.
         """
         kept, fit, small = list(found.adopted), found.fit, list(found.remainders)
         assert fit is not None
@@ -258,7 +263,7 @@ class Refinement:
             i = min(judged, key=lambda k: losses[k])
             if losses[i] >= JUDGING.practical * total:
                 break
-            without = self.without(bare, kept[i].candidate)
+            without = self.fit_without(bare, kept[i].candidate)
             judged.remove(i)
             is_seen = self._is_seen(bare, without, of_any_share=is_whole)
             if is_seen or _carries(self.start.model, bare, without):
@@ -271,12 +276,12 @@ class Refinement:
             fit = fit if stays else bare
         if len(kept) == len(found.adopted):
             return found
-        return self._lean(replace(found, remainders=tuple(small)), kept, fit)
+        return self._rebuilt_unless_worse(replace(found, remainders=tuple(small)), kept, fit)
 
     def _rivals(
         self, adopted: Sequence[Adopted], i: int, *, is_limit: bool = False
     ) -> Iterator[Candidate]:
-        """What may stand in the place of a cause; of a function without a name, every name.
+        """Candidates to replace a cause: its rivals, and for an unnamed function all named effects.
 
         Parameters
         ----------
@@ -301,7 +306,7 @@ class Refinement:
                 yield c
 
     def is_missed(self, fit: Fit, without: Fit) -> bool:
-        """True if the fitted part has a practically larger error without an effect."""
+        """True if the error of the fitted part is larger without an effect, in practice."""
         now, then = self._compared(fit, without)
         return then.square > (1 + JUDGING.practical) * now.square
 
@@ -327,7 +332,7 @@ class Refinement:
         """The errors with all causes but one: a rival has to explain what that one does."""
         if len(adopted) == 1:
             return self.before
-        without = self.without(fit, adopted[i].candidate)
+        without = self.fit_without(fit, adopted[i].candidate)
         return simulation_errors(without, self.split, self.units)
 
     def _is_preferred(
@@ -365,21 +370,21 @@ class Refinement:
         settings = replace(self.settings, substeps=substeps or self.settings.substeps)
         return placed, whole_fit(model, self.split, settings, self.units, values)
 
-    def without(self, fit: Fit, c: Candidate) -> Fit:
+    def fit_without(self, fit: Fit, c: Candidate) -> Fit:
         """The model fitted again without one effect."""
         model = taken_out(fit.criterion.model, null_values(c))
         values = {k: v for k, v in fit.values.items() if k not in c.names}
         return whole_fit(model, self.split, self.settings, self.units, values)
 
-    def _lean(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
-        """The model built anew with the effects that are left: no term stays at its null value."""
-        return found if self._is_astray(found.fit, fit) else self.built(found, kept, fit)
+    def _rebuilt_unless_worse(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
+        """The model rebuilt with the causes kept; `found` itself where that loses too much."""
+        return found if self._loses_too_much(found.fit, fit) else self.rebuilt(found, kept, fit)
 
-    def built(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
-        """The same, however much more the fit leaves."""
+    def rebuilt(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
+        """The model rebuilt with the causes kept: no removed term stays in it at its null value."""
         inside = [a for a in found.adopted if a.candidate.names[0] in fit.criterion.names]
         if len(inside) == len(found.adopted):
-            return self.refined(found, kept, fit)
+            return self.reweighed(found, kept, fit)
         placed, fit = self.with_causes([a.candidate for a in inside], fit)
         new = {c.effect.key: c for c in placed}
 
@@ -388,13 +393,13 @@ class Refinement:
                 replace(a, candidate=new.get(a.candidate.effect.key, a.candidate)) for a in rows
             )
 
-        return self.refined(replace(found, remainders=again(found.remainders)), again(kept), fit)
+        return self.reweighed(replace(found, remainders=again(found.remainders)), again(kept), fit)
 
-    def _is_astray(self, whole: Fit | None, lean: Fit) -> bool:
-        """True of a fit without some effects that loses what they cannot have explained.
+    def _loses_too_much(self, whole: Fit | None, lean: Fit) -> bool:
+        """True if a fit without some effects errs by more than these can have explained.
 
-        So it is of one that foretells what was held out worse than the model as it is, which
-        they do not.
+        Or if it predicts the held-out part worse than the model without any cause, and the fit with
+        them does not.
         """
         assert whole is not None
         old, new = self._compared(whole, lean)
@@ -404,8 +409,8 @@ class Refinement:
             return True
         return not new.square - old.square <= ROUNDS.lean * (bare.square - old.square)
 
-    def refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
-        """What is left of the causes, and their fit weighed by the noise that it shows."""
+    def reweighed(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
+        """The causes kept, with their fit weighted by the noise of its own residual."""
         assert fit is not None
         at = self.search.weighing.weigh(fit.criterion.model, fit, rounds=1)
         return replace(found, adopted=tuple(kept), at=at, fit=fit)

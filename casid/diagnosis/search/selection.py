@@ -94,9 +94,9 @@ def adopt_causes(
     found, attempt = state.found, search.attempts.attempt
     superfluous = "the test whether later causes make earlier ones superfluous"
     if under is not None:
-        found = attempt(superfluous, partial(refine.significant, found)) or found
+        found = attempt(superfluous, partial(refine.without_insignificant, found)) or found
         found = attempt(SHARPNESS, partial(with_sharp_friction_beside, refine, found)) or found
-        return attempt(INSTANTS, partial(refine.in_time_beside, found)) or found
+        return attempt(INSTANTS, partial(refine.with_likelier_instants, found)) or found
     # A cause matters by what it explains in units of the error that all causes leave.
     what = "the fit of the extended model in units of its errors"
     fit = attempt(what, partial(weighted_by_errors, state.fit, once)) or state.fit
@@ -104,12 +104,12 @@ def adopt_causes(
     found, units = replace(found, fit=fit), fit.criterion.weights
     refine = Refinement(search, split, once, units, at, base_fit)
     for what, step in (
-        (superfluous, refine.significant),
+        (superfluous, refine.without_insignificant),
         (POWERS, partial(with_better_powers, refine)),
         (SHARPNESS, partial(with_sharp_friction, refine)),
         (BLUNT, partial(without_blunt_reversals, refine)),
-        (INSTANTS, refine.in_time),
-        ("the test whether every cause matters", refine.main),
+        (INSTANTS, refine.with_refitted_instants),
+        ("the test whether every cause matters", refine.without_small),
     ):
         found = attempt(what, partial(step, found)) or found
     if found.remainders:  # they made up for what a blunt reversal leaves
@@ -373,10 +373,12 @@ class _Selection:
     def exchange_for_prediction(self, refine: Refinement) -> None:
         """Take rivals that predict better, before a further cause repairs the shape of a wrong one.
 
-        Only where the noise model absorbed misfit at first: see `Refinement.exchanged`.
+        Only where the noise model absorbed misfit at first: see `Refinement.with_better_rivals`.
         """
         what = "the comparison of the causes with their rivals by what was held out"
-        self._take(self.search.attempts.attempt(what, partial(refine.exchanged, self.found)))
+        self._take(
+            self.search.attempts.attempt(what, partial(refine.with_better_rivals, self.found))
+        )
 
     def rename_event(self, refine: Refinement) -> None:
         """Name what was adopted last, and sets in, by what explains it best at its instant."""
@@ -394,7 +396,9 @@ class _Selection:
         """Let a part that was adopted last move when a record begins."""
         if may_move(self.adopted[-1].candidate):
             what = "the motion of a further part when the record begins"
-            self._take(self.search.attempts.attempt(what, partial(refine.in_motion, self.found)))
+            self._take(
+                self.search.attempts.attempt(what, partial(refine.with_initial_motion, self.found))
+            )
 
     def reshape(self, refine: Refinement) -> None:
         """Let parameters change with the powers of signals that suit the causes found by now."""

@@ -15,7 +15,7 @@ from casid.estimation.noise.source_spectra import Lines, SourceSpectra, lines_of
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 
-DIFFERENCE = 1e-4
+PARAMETER_STEP = 1e-4
 """Relative change of a parameter over which responses are differentiated."""
 
 
@@ -57,7 +57,7 @@ class ModelSpectra:
         for k, v in enumerate(self.criterion.variables):
             if v.source not in self.criterion.model.parameters:
                 continue
-            h = DIFFERENCE * max(abs(float(z[k])), v.scale)
+            h = PARAMETER_STEP * max(abs(float(z[k])), v.scale)
             h = -h if z[k] + h > v.upper else h
             moved = z[:n].copy()
             moved[k] += h

@@ -19,7 +19,7 @@ from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Par
 from casid.estimation.noise.noise_response import Response
 from casid.estimation.noise.residual_periodograms import band_edges
 
-DIFFERENCE = 1e-4
+LOG_SHAPE_STEP = 1e-4
 """Change of the logarithm of a shape over which a spectrum is differentiated."""
 
 
@@ -163,9 +163,9 @@ class SourceSpectra:
                 both = both + both.conj().swapaxes(1, 2)
                 slopes[k] = entry.size * full[name][:, None, None] * both
             else:
-                moved = getattr(spectra[name], entry.kind) * np.exp(DIFFERENCE)
+                moved = getattr(spectra[name], entry.kind) * np.exp(LOG_SHAPE_STEP)
                 after = _with(spectra[name], entry.kind, float(moved)).of(r.omega, Ts)
-                slope = (scales[name] * after - full[name]) / DIFFERENCE
+                slope = (scales[name] * after - full[name]) / LOG_SHAPE_STEP
                 slopes[k] = slope[:, None, None] * _outer(columns[name])
         return S, slopes
 

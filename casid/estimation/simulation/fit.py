@@ -73,7 +73,7 @@ def fit_model(
     criterion = _stated(model, experiments, settings, start, weights, substeps)
     begun = {v.name: v.start for v in criterion.variables}
     if (near := _near(criterion, settings)) is not None:
-        start = _lower_begin(criterion, near, settings) if start else near.values
+        start = _better_start(criterion, near, settings) if start else near.values
         criterion = begun_at(criterion, start)
     if is_free:
         criterion = _resolved(criterion, start)
@@ -116,6 +116,7 @@ def _stated(
     weights: Array | None,
     substeps: int,
 ) -> SimulationError:
+    """The simulation error by the settings; `substeps` where these leave them free."""
     return SimulationError(
         model,
         experiments,
@@ -134,12 +135,14 @@ def _near(criterion: SimulationError, settings: FitSettings) -> Fit | None:
     )
 
 
-def _lower_begin(criterion: SimulationError, near: Fit, settings: FitSettings) -> dict[str, float]:
-    """Where the search ends lower that begins near the fit over short horizons, or as stated.
+def _better_start(criterion: SimulationError, near: Fit, settings: FitSettings) -> dict[str, float]:
+    """Start values of the fit: the end of the better of two trial fits.
 
-    Parameters that act alike for a short while are hardly determined over short horizons, and the
-    noise of the sensors may move them out of reach. Those that are stated may be of a fit over
-    more.
+    One trial begins at the fit over short horizons, the other at the stated start values.
+    Parameters that act alike for a short while are hardly determined over short horizons, and
+    sensor noise may move them too far from their values; stated values may come from a fit over
+    longer ones. Both are single trials without the retries and finer steps of the fit that begins
+    here.
     """
     ends = []
     for begun in (begun_at(criterion, near.values), criterion):

@@ -61,5 +61,5 @@ def test_a_store_whose_time_constant_ends_at_its_bound_gives_way_to_a_leak(leak,
     whole = whole_fit(store.model, split, ONCE, units, store.fit.values)
     assert ("tau_m" in whole.solution.at_upper) is (leak > 0)
     extended = weighing.weigh(store.model, whole, rounds=1)
-    found = of.exchanged(Adoption((Adopted(store, 1e-9, (), at),), extended, whole))
+    found = of.with_better_rivals(Adoption((Adopted(store, 1e-9, (), at),), extended, whole))
     assert [a.candidate.effect.kind for a in found.adopted] == [kind]

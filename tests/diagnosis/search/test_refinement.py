@@ -95,8 +95,8 @@ def test_what_was_chosen_among_many_stays_as_significant_as_it_had_to_be(
     sizes = {"k_3": 3.0, "d_2": 30.0}
     monkeypatch.setattr(f"{MODULE}.wald", lambda fit, name, null: sizes[name])
     monkeypatch.setattr(of.search, "first_table", SimpleNamespace(tested=[None] * tested))
-    monkeypatch.setattr(Refinement, "_is_astray", lambda *_: False)
-    kept = of.significant(adopted(of, first, second)).adopted
+    monkeypatch.setattr(Refinement, "_loses_too_much", lambda *_: False)
+    kept = of.without_insignificant(adopted(of, first, second)).adopted
     assert [a.candidate.effect.kind for a in kept] == [
         *["cubic_stiffness"] * is_cause,
         "quadratic_damping",
@@ -109,7 +109,7 @@ def test_a_cause_that_explains_too_little_is_a_remainder_and_not_in_the_model(dr
     of = refinement(drag)
     first = hardening(of)
     second = beside(of, first, quadratic_damping(first.model, "torque"), drag)
-    found = of.main(adopted(of, first, second))
+    found = of.without_small(adopted(of, first, second))
     kinds = [a.candidate.effect.kind for a in found.adopted]
     assert kinds == ["cubic_stiffness", *["quadratic_damping"] * is_cause]
     assert [a.candidate.effect.kind for a in found.remainders] == ["quadratic_damping"] * (
@@ -132,7 +132,7 @@ def test_a_small_share_is_a_cause_where_its_output_would_err_by_far_more_than_no
     bare = whole_fit(first.model, of.split, of.settings, of.units, first.fit.values)
     ratio = (bare.solution.value / before.fit.solution.value) ** 0.5
     assert (ratio > JUDGING.unlike) is is_cause
-    found = of.main(before)
+    found = of.without_small(before)
     assert ("d_2" in {n for a in found.adopted for n in a.candidate.names}) is is_cause
 
 
@@ -140,7 +140,7 @@ def test_a_remainder_that_nobody_would_see_is_listed_only_where_the_model_has_it
     of = refinement(0.002)
     first = hardening(of)
     second = beside(of, first, quadratic_damping(first.model, "torque"), 0.002)
-    found = of.main(adopted(of, first, second))
+    found = of.without_small(adopted(of, first, second))
     (small,) = found.remainders
     tiny = replace(small, share=0.5 * JUDGING.visible)
     lean, full = (SimpleNamespace(best_fit=fit) for fit in (found.fit, second.fit))
@@ -165,7 +165,7 @@ def test_of_two_that_do_the_same_one_stays_though_each_is_small_beside_the_other
     assert play is not None
     drag = beside(of, play, quadratic_damping(play.model, "torque"), 0.07)
     drift = beside(of, drag, parameter_drift(drag.model, "C_1", (0.0, 42.0)), -0.01)
-    found = of.main(adopted(of, play, drag, drift))
+    found = of.without_small(adopted(of, play, drag, drift))
     kinds = {a.candidate.effect.kind for a in found.adopted}
     assert "quadratic_damping" in kinds
     assert len(kinds & {"deadzone", "parameter_drift"}) == 1
@@ -184,7 +184,7 @@ def test_of_two_that_fit_alike_the_one_that_predicts_is_named():
     drag = beside(of, play, quadratic_damping(play.model, "torque"), 0.07)
     before = adopted(of, play, drag)
     tied = replace(before.adopted[0], rivals=(Rival(hardening(of), 0.4),))
-    found = of.exchanged(replace(before, adopted=(tied, before.adopted[1])))
+    found = of.with_better_rivals(replace(before, adopted=(tied, before.adopted[1])))
     first = found.adopted[0]
     assert first.candidate.effect.kind == "cubic_stiffness"
     assert [r.candidate.effect.kind for r in first.rivals] == ["deadzone"]
@@ -244,7 +244,7 @@ def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it(
     assert both.fit is not None
     assert both.fit.values["F_v"] == pytest.approx(100.0, rel=0.01)
     assert 1.5 * 100.0 < constant.fit.values["F_v"] < 3.0 * 100.0
-    found = of.main(both)
+    found = of.without_small(both)
     causes = ["offset", "coulomb_friction"] if carried < 1.0 else ["offset"]
     assert [a.candidate.effect.kind for a in found.adopted] == causes
     assert len(found.remainders) == 2 - len(causes)
@@ -260,9 +260,9 @@ def test_a_leaner_model_whose_fit_went_astray_is_not_taken():
     second = beside(of, first, quadratic_damping(first.model, "torque"), 0.002)
     found = adopted(of, first, second)
     assert found.fit is not None
-    assert not of._is_astray(found.fit, first.fit)
-    assert of._is_astray(found.fit, of.start.fit)
-    assert of._lean(found, found.adopted[1:], of.start.fit) is found
+    assert not of._loses_too_much(found.fit, first.fit)
+    assert of._loses_too_much(found.fit, of.start.fit)
+    assert of._rebuilt_unless_worse(found, found.adopted[1:], of.start.fit) is found
 
 
 def test_a_leaner_model_that_foretells_worse_than_the_model_as_it_is_is_not_taken(monkeypatch):
@@ -279,9 +279,9 @@ def test_a_leaner_model_that_foretells_worse_than_the_model_as_it_is_is_not_take
 
     monkeypatch.setattr(f"{MODULE}.simulation_errors", foretelling)
     of = replace(of)  # its errors of the model as it is anew
-    assert of._is_astray(found.fit, one)
+    assert of._loses_too_much(found.fit, one)
     sizes[id(one)] = 0.9
-    assert not of._is_astray(found.fit, one)
+    assert not of._loses_too_much(found.fit, one)
 
 
 def test_an_effect_that_an_output_shows_is_a_cause_beside_a_far_larger_one_of_another():
@@ -316,6 +316,6 @@ def test_an_effect_that_an_output_shows_is_a_cause_beside_a_far_larger_one_of_an
     units = np.array([100.0, 100.0])  # one over the noise
     of = replace(of, units=units)
     found = replace(found, fit=whole_fit(second.model, split, ONCE, units, found.fit.values))
-    main = of.main(found)
+    main = of.without_small(found)
     assert {a.candidate.effect.where for a in main.adopted} == {"heat_hot", "heat_cool"}
     assert not main.remainders

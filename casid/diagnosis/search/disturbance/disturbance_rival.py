@@ -119,7 +119,7 @@ def weighed_against_disturbances(
     start = replace(start, noise_absorbs_misfit=True)  # a bound may have hidden it
     found = found if found.adopted else replace(found, at=start)
     score, is_random, nothing = math.inf, False, score_of(bare)
-    found = _each_beside(again, found, baseline, search, settings)
+    found = without_replaceable(again, found, baseline, search, settings)
     if found.adopted and found.fit is not None:
         if not found.at.noise_absorbs_misfit and score_of(found.at, found.adopted) < nothing:
             return search, start, _charged(found, bare, search)  # likelier with no disturbance
@@ -213,18 +213,18 @@ def minus_log_likelihood_beside(
     return min(minus_log_likelihood(own, of), minus_log_likelihood(bare) - gain)
 
 
-def _each_beside(
+def without_replaceable(
     again: Search,
     found: Adoption,
     baseline: Baseline,
     search: Search,
     settings: DiagnosisSettings,
 ) -> Adoption:
-    """What was found, without causes in whose place a disturbance explains as much beside the rest.
+    """The causes found, without those that a disturbance can replace beside the others.
 
-    The first cause may be a law, and a later one what a disturbance leaves. One alone is compared
-    with a disturbance as all are together. Where all causes leave noise, laws stay: a change in
-    time may have followed a slow disturbance through the record.
+    The first cause may be a law, and a later one may fit a disturbance. A single cause is compared
+    with a disturbance elsewhere, as all causes together are. Where all causes leave only noise,
+    only changes in time are tested: they may have followed a slow disturbance through the record.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def _each_beside(
 
     settings.progress("compare each cause with a random disturbance in its place")
     what = "the comparison of each cause with a random disturbance"
-    return search.attempts.attempt(what, partial(refine.needed, found, why)) or found
+    return search.attempts.attempt(what, partial(refine.without_unneeded, found, why)) or found
 
 
 def _foresees(before: Fit, after: Fit, split: Split) -> bool:

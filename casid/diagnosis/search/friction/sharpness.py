@@ -37,7 +37,7 @@ def with_sharp_friction(
             adopted, fit = _sharpened(refine, adopted, i, fit, most)
     if fit is found.fit:
         return replace(found, adopted=tuple(adopted))
-    return refine.refined(found, adopted, fit)
+    return refine.reweighed(found, adopted, fit)
 
 
 def with_sharp_friction_beside(refine: Refinement, found: Adoption) -> Adoption:
@@ -48,7 +48,7 @@ def with_sharp_friction_beside(refine: Refinement, found: Adoption) -> Adoption:
     """
     if not any(map(_is_dry, found.adopted)):
         return found
-    return refine.likelier_beside(found, partial(with_sharp_friction, refine))
+    return refine.if_likelier(found, partial(with_sharp_friction, refine))
 
 
 def without_blunt_reversals(refine: Refinement, found: Adoption) -> Adoption:
@@ -60,7 +60,9 @@ def without_blunt_reversals(refine: Refinement, found: Adoption) -> Adoption:
             c, fit = a.candidate, found.fit
             assert fit is not None
             kept = [b for b in found.adopted if b is not a]
-            lean = with_sharp_friction(refine, refine.built(found, kept, refine.without(fit, c)))
+            lean = with_sharp_friction(
+                refine, refine.rebuilt(found, kept, refine.fit_without(fit, c))
+            )
             if lean.fit is not None and not refine.is_missed(fit, lean.fit):
                 refine.search.refused.append((c, SUPERFLUOUS))
                 found = lean

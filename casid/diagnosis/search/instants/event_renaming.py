@@ -1,10 +1,10 @@
-"""What sets in at an instant, named by the effect that explains it best there.
+"""A change at an instant, renamed to the effect that explains it best there.
 
-One event is named once, and no other change is sought at its instant. The first name that it gets
-is chosen where the event is still missing: of a load that is taken off, the fit without it bends
-the parameters so far that no refit of the mass finds the way back, and a constant force stands for
-its weight. Beside the cause the model is near the truth, and tangents there tell which of the
-effects that may set in at this instant leaves least in its place.
+An event is named once, and no other change is sought at its instant. Its first name is chosen while
+the event is still missing from the model: where a load is taken off, the fit without it has such
+wrong parameters that no refit of the mass converges to the truth, and a constant force is named for
+its weight. With the cause included the model is near the truth, and linearised fits there show
+which of the effects that may set in at this instant leaves the smallest residual in its place.
 """
 
 from __future__ import annotations
@@ -31,14 +31,16 @@ from casid.model.model import Model
 
 
 def with_last_event_renamed(refine: Refinement, found: Adoption) -> Adoption:
-    """With the cause adopted last as another effect at its instant, where that errs clearly less.
+    """With the cause adopted last replaced by another effect at its instant that errs clearly less.
 
-    As it was where the last cause sets in at no instant, or leaves noise alone.
+    `found` itself where there is none, the last cause sets in at no instant, or it leaves only
+    noise.
     """
     last, absorbs = found.adopted[-1].candidate, found.at.noise_absorbs_misfit
     if found.fit is None or not absorbs or not _is_event(last.effect):
         return found
-    moved = refine.in_time(found)  # under the noise of the model without it, it is placed roughly
+    # Under the noise of the model without it, it is placed roughly.
+    moved = refine.with_refitted_instants(found)
     last, fit = moved.adopted[-1].candidate, moved.fit
     assert fit is not None
     other = _best_in_place(refine, last, fit)
@@ -49,15 +51,16 @@ def with_last_event_renamed(refine: Refinement, found: Adoption) -> Adoption:
     what = f"the comparison of {pair}"
     renamed = partial(_renamed, refine, moved.adopted, other, fit)
     tried = refine.search.attempts.attempt(what, renamed)
-    return found if tried is None else refine.refined(found, *tried)
+    return found if tried is None else refine.reweighed(found, *tried)
 
 
 def _is_event(effect: Effect) -> bool:
+    """True of an effect that sets in at an instant, other than a knock."""
     return effect.sets_in and effect.variant is not None and effect.shape != KNOCK
 
 
 def _best_in_place(refine: Refinement, own: Candidate, fit: Fit) -> Effect | None:
-    """The effect that leaves least at the instant of one, in its place; None if that is its own."""
+    """The effect with the smallest residual at the instant of `own`; None if that is its own."""
     table, instant = refine.search.first_table, own.effect
     if table is None or instant.variant is None:
         return None
@@ -97,7 +100,7 @@ def _renamed(
 
 
 def _judged(refine: Refinement, last: Adopted, new: Candidate, fit: Fit) -> Candidate | None:
-    """The effect in the place of the last cause, as the round that adopted that would judge it."""
+    """The new candidate with the gain and score of the round that adopted the last cause."""
     search, before = refine.search, last.before or refine.start
     again = search.refitting.again(before, replace(new, fit=fit))
     if again is None or search.first_table is None:

@@ -16,8 +16,8 @@ from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.disturbance import disturbance_rival
 from casid.diagnosis.search.disturbance.disturbance_price import as_white
 from casid.diagnosis.search.disturbance.disturbance_rival import (
-    _each_beside,
     minus_log_likelihood_beside,
+    without_replaceable,
 )
 from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
@@ -158,7 +158,7 @@ def test_a_later_cause_is_none_where_the_sea_that_the_first_leaves_explains_as_m
     both = Adoption(causes, beside, fit)
     baseline: Any = SimpleNamespace(fit=base, split=split, start=start)
     again = replace(search, weighing=weighing.with_disturbances())
-    kept = _each_beside(again, both, baseline, search, settings)
+    kept = without_replaceable(again, both, baseline, search, settings)
     assert [a.candidate.effect.kind for a in kept.adopted] == ["quadratic_damping"]
     assert [c.effect.kind for c, _ in search.refused] == ["parameter_jump"]
 

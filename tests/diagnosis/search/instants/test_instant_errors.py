@@ -130,7 +130,7 @@ def test_a_disturbance_keeps_no_instant_away_from_where_the_records_have_it():
     beside = weighing.weigh(fit.criterion.model, fit)
     assert beside.noise.source_sd["volume"] > 0.01  # m/s
     found = Adoption((cause,), beside, beside.fit)
-    moved = refine.in_time_beside(found)
+    moved = refine.with_likelier_instants(found)
     assert moved.at.noise.source_sd["volume"] == pytest.approx(0.0, abs=1e-4)
     assert instants(moved.adopted[0]) == pytest.approx((BEGIN - HALF, END - HALF), abs=0.05)
 
