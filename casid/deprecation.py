@@ -13,6 +13,7 @@ def renamed(old: str, new: str) -> property:
     """
 
     def get(self: Any) -> Any:
+        """The value under its new name, with a warning."""
         warnings.warn(
             f"{type(self).__name__}.{old} is called {new} now; {old} goes with the next release",
             DeprecationWarning,

@@ -95,6 +95,7 @@ def dependent(rows: Array, size: int, p: int) -> Iterator[tuple[int, ...]]:
     n = rows.shape[1]
 
     def extend(rows: Array, prefix: tuple[int, ...], left: int) -> Iterator[tuple[int, ...]]:
+        """All dependent sets that begin with `prefix` and have `left` more columns."""
         start = prefix[-1] + 1 if prefix else 0
         zero: Array = ~np.any(rows[:, start:], axis=0)
         if left == 1:

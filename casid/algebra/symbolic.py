@@ -93,6 +93,7 @@ def to_sympy(
     function = ca.Function("expression", [ca.vertcat(*inside)], [ca.densify(expression)])
 
     def number(value: float) -> Any:
+        """A constant as sympy's number: exact if requested or whole."""
         if exact_numbers or float(value).is_integer():
             fraction = exact(value)
             return sympy.Rational(fraction.numerator, fraction.denominator)
@@ -147,6 +148,7 @@ def walk(
     """
 
     def operate(code: int, *registers: Register) -> Register:
+        """The operation of CasADi's `code` on exact values; refused where there is none."""
         if code not in operations:
             raise ModelError(
                 f"{function.name()}: {_CODES.get(code, code)} cannot be done in exact algebra; "
@@ -226,6 +228,7 @@ def rational_operations(power: Operation) -> dict[int, Operation]:
 
 def _fraction_operations() -> dict[int, Operation]:
     def power(base: Fraction, exponent: Fraction) -> Fraction:
+        """A whole power of a fraction; refused where the exponent is another."""
         if exponent.denominator != 1:
             raise ModelError(
                 f"a power with the exponent {exponent} is not rational; only numerical methods "

@@ -214,6 +214,7 @@ def _field_operations(p: int) -> Operations:
         return pow(a, -1, p)
 
     def power(base: int, exponent: int) -> int:
+        """A whole power modulo p, for an exponent that is a small whole number."""
         number = to_rational(exponent, p)
         if number is None or number.denominator != 1 or abs(number) > 1000:
             raise ModelError("not a rational power")

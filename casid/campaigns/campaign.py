@@ -307,6 +307,7 @@ class _Work:
         import joblib
 
         def tasks() -> Iterator[Any]:
+            """The batches as tasks, while time is left."""
             for runs in batches:
                 left = self.ends - wall_clock()
                 if left <= 0.0:

@@ -37,10 +37,12 @@ def outliving_workers() -> Iterator[None]:
     pending: dict[Any, Any] = {}  # future -> whom to call
 
     def reporting(task: Any, callback: Any = None) -> Any:
+        """Submit a task, and report to its callback an error that Dask has of it."""
         future = submit(task, callback)
         pending[future] = callback
 
         def report(done: Any) -> None:
+            """Hand the error of a task that failed to its callback."""
             pending.pop(done, None)
             error = done.exception()
             if error is not None and callback is not None:

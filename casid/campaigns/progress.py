@@ -23,6 +23,7 @@ def reported(
     done = failures = 0
 
     def line(n: int, failed: int) -> None:
+        """Count runs; print a line of progress at most every five seconds."""
         nonlocal done, failures, last
         done, failures = done + n, failures + failed
         now = time.monotonic()
@@ -65,6 +66,7 @@ def _bar(runs: int, found: int) -> Iterator[Callable[[int, int], None]]:
         task = shown.add_task("runs", total=runs, completed=found)
 
         def report(n: int, failed: int) -> None:
+            """Count runs, and move the bar."""
             nonlocal failures
             failures += failed
             text = f"runs, {failures} failed" if failures else "runs"

@@ -28,6 +28,7 @@ def interruptible() -> Iterator[None]:
     again = threading.Thread(target=repeat, daemon=True)
 
     def interrupt(number: int, frame: Any) -> None:
+        """At the first interrupt, go on interrupting until the work ends."""
         if over.is_set():
             return
         if not requested.is_set():

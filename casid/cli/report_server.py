@@ -83,11 +83,12 @@ def report_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
             """Say nothing."""
 
         def _answer(self, *, with_content: bool) -> None:
+            """Send the page at the address requested, to a browser on this machine alone."""
             host = (self.headers.get("Host") or "").rpartition(":")[0]
             if host not in (_LOOPBACK, "localhost"):
                 self.send_error(HTTPStatus.FORBIDDEN)
                 return
-            content = self._content()
+            content = _page_at(unquote(urlsplit(self.path).path), folder)
             if content is None:
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
@@ -99,16 +100,6 @@ def report_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
             if with_content:
                 self.wfile.write(content)
 
-        def _content(self) -> bytes | None:
-            address = unquote(urlsplit(self.path).path)
-            try:
-                if address == "/":
-                    return index_page(folder).encode("utf-8")
-                path = reports_in(folder).get(address)
-                return None if path is None else path.read_bytes()
-            except (DataError, OSError):
-                return None
-
     try:
         return ThreadingHTTPServer((_LOOPBACK, port), Handler)
     except OSError as error:
@@ -116,3 +107,14 @@ def report_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
             f"port {port} cannot be used ({error.strerror}); name another with --port, or 0 for a "
             "free one"
         ) from error
+
+
+def _page_at(address: str, folder: Path) -> bytes | None:
+    """The list of reports of a folder, or the report at an address; None where there is none."""
+    try:
+        if address == "/":
+            return index_page(folder).encode("utf-8")
+        path = reports_in(folder).get(address)
+        return None if path is None else path.read_bytes()
+    except (DataError, OSError):
+        return None

@@ -150,6 +150,7 @@ def _whitened(
     data = criterion.data
 
     def whiten(columns: Array, experiment: int) -> Array:
+        """Columns (N, ny, ...) of an experiment whitened output by output."""
         out = np.zeros_like(columns)
         for i, (model, there) in enumerate(zip(models, data[experiment].used.T, strict=True)):
             out[there, i] = model.whiten(columns[there, i])

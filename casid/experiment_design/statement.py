@@ -89,6 +89,7 @@ class Statement:
         function = ca.Function("outer", [x, o, f, m], [ca.densify(slope), outer])
 
         def hessian(point: Array, _: Array, lam_f: Array, lam_g: Array) -> list[Any]:
+            """Upper triangle of the Lagrangian's Hessian in the variables of the program."""
             place = self.parted(point)
             column = self.rollout.outputs(*place).column
             found = function(point, column, lam_f, lam_g)

@@ -75,6 +75,8 @@ def by_class(
         return {}
 
     def each(change: Callable[[System], System]) -> Callable[[], list[System]]:
+        """Makes the systems with a change of every one that has unknown inputs."""
+
         def make() -> list[System]:
             once = {id(s): change(s) if s.unknown_inputs else s for s in systems}
             return [once[id(s)] for s in systems]
@@ -107,6 +109,8 @@ def by_excitation(
     table: dict[str, Answer] = {}
 
     def poorer(kind: str) -> Callable[[], list[System]]:
+        """Makes the systems with their unknown inputs in a poorer class, eliminated."""
+
         def make() -> list[System]:
             once = {id(s): with_input_class(s, dict.fromkeys(s.inputs, kind)) for s in systems}
             return list(eliminated([once[id(s)] for s in systems])[0])

@@ -297,6 +297,7 @@ def _estimation(
 
     @cache
     def covariance(free: tuple[bool, ...]) -> Array:
+        """Covariance with these variables free: under the noise found, or by the sandwich."""
         mask = np.array(free)
         if found.weights is not None:
             return found.weights.covariance(mask)
@@ -458,6 +459,7 @@ def _fit(
     undone.add(*fit.not_done)
 
     def suspected() -> WrongSign | None:
+        """A channel of the wrong sign, sought only where the fit is poor."""
         if not is_poor(fit):
             return None
         say("the fit is poor: negate each channel in turn")

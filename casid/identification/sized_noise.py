@@ -41,6 +41,7 @@ def with_noise_sizes(
                 found[name] = sizes
 
     def sized(experiments: Sequence[Experiment], first: int = 0) -> list[Experiment]:
+        """The experiments with the sizes of noise found, from experiment `first` on."""
         return [
             replace(e, noise_sizes={**e.noise_sizes, **{n: s[k] for n, s in found.items()}})
             for k, e in enumerate(experiments, first)

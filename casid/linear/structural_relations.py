@@ -129,6 +129,7 @@ def hold_relations(
     nominal = transfer.nominal()
 
     def sample(system: Any, count: int, seed: int) -> Array:
+        """(count, n) finite coefficients at random values of the free parameters."""
         rng = np.random.default_rng(seed)
         rows: list[Array] = []
         for _ in range(20 * count):

@@ -204,6 +204,8 @@ def _walk(
     """g on quotients of polynomials, each result on the way checked."""
 
     def guarded(operation: Callable[..., Any]) -> Callable[..., Any]:
+        """The operation, with its result checked."""
+
         def run(*arguments: Any) -> Any:
             result = operation(*arguments)
             check(result)
@@ -212,6 +214,7 @@ def _walk(
         return run
 
     def power(base: Any, exponent: Any) -> Any:
+        """A whole power of a quotient of polynomials; refused where the exponent is another."""
         if not (exponent.numer.is_ground and exponent.denom.is_ground):
             raise ModelError(
                 "a parameter occurs in an exponent; such coefficients are not rational, so use "
@@ -251,6 +254,7 @@ def _check_degree(
     ]
 
     def check(quotient: Any) -> None:
+        """Refuse a quotient of a degree too high for the proof."""
         if max(quotient.numer.degree(), quotient.denom.degree()) > _DEGREE:
             raise ModelError(
                 f"the coefficients are polynomials of a degree beyond {_DEGREE}, too large to "

@@ -29,6 +29,7 @@ def check_units(model: Model) -> None:
     units = model.symbol_units
 
     def dimension(expression: Any, place: str) -> Dimension:
+        """Dimension of an expression, None where any fits; a mismatch is refused with its place."""
         try:
             return dimension_of(expression, ca.symvar(ca.SX(expression)), units)
         except DimensionMismatch as error:
@@ -39,6 +40,7 @@ def check_units(model: Model) -> None:
             ) from None
 
     def require(expression: Any, unit: str, place: str) -> None:
+        """Refuse an expression whose dimension is not that of `unit`."""
         found = dimension(expression, place)
         wanted = tuple(parse_unit(unit).dimension)
         if found is not None and found != wanted:

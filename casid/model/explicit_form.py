@@ -118,6 +118,7 @@ def _pivot_size(symbols: Sequence[Any]) -> Callable[[Any], float]:
     together = ca.vertcat(*symbols)
 
     def size(entry: Any) -> float:
+        """Rank of an entry as a pivot: constants, then short expressions; 0 if unsafe."""
         if entry.is_zero():
             return 0.0
         if entry.is_constant():

@@ -199,6 +199,7 @@ def shared_parts(expressions: Sequence[Expr], least: int = 3) -> tuple[list[Expr
     size: dict[int, int] = {}
 
     def visit(e: Expr) -> None:
+        """Count the uses of a subexpression and of its parts; these come first in `order`."""
         key = e.element_hash()
         uses[key] = uses.get(key, 0) + 1
         if e.is_leaf() or uses[key] > 1:
@@ -406,6 +407,7 @@ def _held(code: int) -> Callable[..., _Text]:
     """A relation or a connective in the place of a number."""
 
     def write(writer: _Writer, *sides: Expr) -> _Text:
+        """The text of the relation between `sides`, as a condition that is 1 or 0."""
         if code == ca.OP_NOT:
             return writer._truth(ca.logic_not(sides[0]))
         makers = {

@@ -29,6 +29,7 @@ def open_file(path: Path, form: FileFormat) -> Table:
     units: dict[str, str] = {}
 
     def visit(name: str, item: Any) -> None:
+        """Collect a data set, field by field where it has fields, and its unit."""
         if not isinstance(item, h5py.Dataset) or name.startswith("#"):
             return  # MATLAB keeps what is no array under #refs#
         values = item[()]

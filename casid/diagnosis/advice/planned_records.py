@@ -266,6 +266,7 @@ class Planner:
         rng = np.random.default_rng(self.seed)
 
         def change(u: Array) -> Array:
+            """A multisine in the bands, of the standard deviation of the input that it replaces."""
             f = rfftfreq(len(u), self.motion.Ts)
             inside = np.any([(f >= low) & (f <= high) for low, high in bands], axis=0)
             line = np.where((f > 0) & inside, np.exp(2j * np.pi * rng.random(len(f))), 0)

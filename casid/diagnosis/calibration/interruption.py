@@ -44,6 +44,7 @@ def interruptible(stop: threading.Event, *, is_serial: bool) -> Iterator[None]:
         return
 
     def once(number: int, frame: Any) -> None:
+        """At the first interrupt, stop after the runs at hand; at the second, at once."""
         if stop.is_set():
             before(number, frame)
             return

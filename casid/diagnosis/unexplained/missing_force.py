@@ -313,6 +313,7 @@ def candidate_groups(
     groups, knots = [Group((), lambda t: np.ones((len(t[TIME]), 1)))], {}
 
     def add(names: tuple[str, ...], count: int) -> None:
+        """Add the piecewise linear functions of the last name, times the first of two."""
         last = names[-1]
         bends = knots_of(last, joined[last], count)
         if len(bends) < 2:
@@ -442,6 +443,8 @@ def _shape(
             shapes += [("", 2.0)]
 
     def column(parity: str, power: float) -> Group:
+        """The function sign(v) |v|^power, or |v|^power where it is even, times the carrier."""
+
         def made(t: Table) -> Array:
             v = t[last] / scale
             size = np.abs(v) ** power

@@ -102,6 +102,7 @@ class Cause:
         channel = None if self.kind in LATE else units.get(self.where)
 
         def converted(p: Estimated) -> Estimated:
+            """A parameter in its declared unit, or in that of the channel it acts on."""
             shares = ("share", *(f"{what}_{self.where}" for what in _SHARES))
             is_ratio = p.unit == "1" and p.name in shares
             if is_ratio or (p.name in ("time", "end") and p.unit == "s"):

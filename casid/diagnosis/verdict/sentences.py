@@ -35,6 +35,7 @@ from casid.model.effects.names import (
 )
 from casid.model.effects.parameter_effects import is_scheduled_by_power
 from casid.model.identifiers import made_identifier
+from casid.model.model import Model
 from casid.model.quantities import quantity_text, quantity_texts
 
 _SAYS = {
@@ -405,22 +406,10 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
     is_all : the residual is consistent with noise. What an input could have of it at most, and what
         a force could, is then noise of the outputs, and implies nothing.
     """
-
-    def text_of(name: str, sd: float) -> str:
-        return quantity_text(at.model.shown_size(name, sd), at.model.unit_of(name))
-
-    records = range(len(at.criterion.experiments))
-    sizes = at.criterion.experiments[0].noise_sizes
-
-    def output_text(name: str, sd: float) -> str:
-        if name not in sizes or not sizes[name].per_reading:
-            return text_of(name, sd)
-        share = 100 * sd * sizes[name].per_reading
-        return f"{share:.2g} % of the reading, {text_of(name, sd * sizes[name].at_zero)} at least"
-
+    text_of, records = partial(_size_text, at.model), range(len(at.criterion.experiments))
     left = np.sqrt(np.mean([at.full.floor(e) ** 2 for e in records], axis=0))
     out = {
-        name: f"white output noise {output_text(name, sd)}"
+        name: f"white output noise {_output_noise_text(at, name, sd)}"
         if sd > DESCRIPTION.noiseless * rms
         else "no white output noise found: other sources account for its error"
         for name, sd, rms in zip(
@@ -454,3 +443,17 @@ def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
             continue
         out[source] = text
     return out
+
+
+def _size_text(model: Model, name: str, sd: float) -> str:
+    """A standard deviation of a channel, in its declared unit."""
+    return quantity_text(model.shown_size(name, sd), model.unit_of(name))
+
+
+def _output_noise_text(at: Weighted, name: str, sd: float) -> str:
+    """Noise of an output in words: a share of the reading where it grows with that."""
+    size = at.criterion.experiments[0].noise_sizes.get(name)
+    if size is None or not size.per_reading:
+        return _size_text(at.model, name, sd)
+    least = _size_text(at.model, name, sd * size.at_zero)
+    return f"{100 * sd * size.per_reading:.2g} % of the reading, {least} at least"

@@ -203,6 +203,7 @@ class CommonSearch:
         of = SourceSpectra(self.outputs, output_sd, source_sd, spectra, self.given, sizes)
 
         def at(phi: Array) -> At:
+            """Whittle's likelihood of all records, with gradient and information, at phi."""
             total = impossible(len(phi))
             total.information[:], value = 0.0, 0.0
             with np.errstate(all="ignore"):

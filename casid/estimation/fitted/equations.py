@@ -333,6 +333,7 @@ def _algebra(expression: Expr) -> Any:
     floats = algebra.atoms(sympy.Float)
 
     def short(x: Any) -> Any:
+        """A number as it is printed: 2 pi as such, others with six digits."""
         if abs(x) < GUARD:
             return sympy.Integer(0)
         if math.isclose(abs(x), 2 * math.pi, rel_tol=1e-12):

@@ -109,6 +109,7 @@ def run_scipy(
     options, constraints = _method(name, program, scale, unit, slope)
 
     def solve() -> Solution:
+        """One run from the start, judged by the derivatives where it ends."""
         counts.clear()
         result = minimize(
             **arguments,

@@ -106,6 +106,7 @@ class CriterionProgram:
         n, m, unit, one_pass = len(self.scale), self.n_own, self._unit, self._one_pass
 
         def values(point: Array) -> list[Any]:
+            """Criterion and constraints at a point, scaled for the solver."""
             if m:
                 at = one_pass(point)
                 return [at.value / unit, at.constraints]
@@ -145,6 +146,7 @@ class CriterionProgram:
             of_constraints = ca.Function("g_hess", [x, lam], [curved])
 
         def hessian(point: Array, _p: Array, lam_f: Array, lam_g: Array) -> list[Any]:
+            """Hessian of the Lagrangian in the solver's variables."""
             h = lam_f[0] * self._one_pass(point * scale).hessian / self._unit
             if declared:
                 h = h + np.array(of_constraints(point * scale, lam_g[m:]))

@@ -182,6 +182,7 @@ def _criterion_outcome(
         return Outcome(entry.name, reason="does not fit: it takes no Hessian but its own")
 
     def solve(solver: Solver) -> tuple[Solution, float]:
+        """The solution by one solver, and the seconds that it took."""
         return timed(
             lambda: nlp.solve(
                 solver,

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import IO, Any
 
 from casid.arrays import Array
 from casid.errors import CasidError
@@ -115,15 +115,8 @@ def _serve_to(state: bytes, todo: Sequence[SolverEntry], timeout: float) -> list
     )
     answers: queue.Queue[Any] = queue.Queue()
 
-    def listen() -> None:
-        assert child.stdout is not None
-        try:
-            while True:
-                answers.put(pickle.load(child.stdout))
-        except (EOFError, pickle.UnpicklingError, OSError):
-            answers.put(None)
-
-    listener = threading.Thread(target=listen, daemon=True)
+    assert child.stdout is not None
+    listener = threading.Thread(target=_collect, args=(child.stdout, answers), daemon=True)
     listener.start()
     done: list[Outcome] = []
     try:
@@ -151,9 +144,17 @@ def _serve_to(state: bytes, todo: Sequence[SolverEntry], timeout: float) -> list
         child.kill()
         child.wait()
         listener.join(timeout=10)
-        if child.stdout is not None:
-            child.stdout.close()
+        child.stdout.close()
     return done
+
+
+def _collect(stream: IO[bytes], answers: queue.Queue[Any]) -> None:
+    """Put the answers of a child process into a queue, and None when it ends."""
+    try:
+        while True:
+            answers.put(pickle.load(stream))
+    except (EOFError, pickle.UnpicklingError, OSError):
+        answers.put(None)
 
 
 def _serve() -> None:

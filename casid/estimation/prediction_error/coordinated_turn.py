@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -50,55 +51,12 @@ def coordinated_turn(Ts: float, *, drifts: bool = True) -> StochasticModel:
         states["v"] = "m/s"
         levels["sway"] = "m/s^1.5"
     levels |= {"position": "m", "heading": "rad"}
-    n = len(states)
 
-    def transition(x: Any) -> Any:
-        psi, turned = x[2], x[3] * Ts
-        # The mean velocity points along the mean heading: sin(a)/a of half the turn, whose
-        # series holds (to 1e-10) where a division would be by zero.
-        a = turned / 2
-        small = ca.fabs(a) < 0.02
-        quotient = ca.sin(ca.if_else(small, 1.0, a)) / ca.if_else(small, 1.0, a)
-        length = Ts * ca.if_else(small, 1 - a**2 / 6 + a**4 / 120, quotient)
-        c, s = ca.cos(psi + a), ca.sin(psi + a)
-        u, v = x[4], x[5] if drifts else 0.0
-        moved = [x[0] + length * (u * c - v * s), x[1] + length * (u * s + v * c)]
-        return ca.vertcat(*moved, psi + turned, *[x[i] for i in range(3, n)])
+    def process(x: Any, values: Any) -> Any:
+        return _intensity(x, {n: values[i] for i, n in enumerate(levels)}, Ts, drifts=drifts)
 
-    def process(x: Any, level: Any) -> Any:
-        """Intensity over one sample along the mean heading, by Gauss's quadrature.
-
-        Position answers a push of u and v to first order in the time left, one of r to second:
-        polynomials of degree four at most, for which three nodes are exact.
-        """
-        root = np.sqrt(0.6)
-        psi = x[2] + x[3] * Ts / 2
-        c, s = ca.cos(psi), ca.sin(psi)
-        u, v = x[4], x[5] if drifts else 0.0
-        order = ["surge", "yaw", *(["sway"] if drifts else [])]
-        power = {name: level[list(levels).index(name)] ** 2 for name in order}
-        Q = ca.SX.zeros(n, n)
-        for node, weight in ((-root, 5 / 18), (0.0, 8 / 18), (root, 5 / 18)):
-            left = Ts * (1 + node) / 2
-            pushes = {
-                "surge": [c * left, s * left, 0.0, 0.0, 1.0, 0.0],
-                "sway": [-s * left, c * left, 0.0, 0.0, 0.0, 1.0],
-                "yaw": [
-                    -(u * s + v * c) * left**2 / 2,
-                    (u * c - v * s) * left**2 / 2,
-                    left,
-                    1.0,
-                    0.0,
-                    0.0,
-                ],
-            }
-            for name in order:
-                push = ca.vertcat(*pushes[name][:n])
-                Q += weight * Ts * power[name] * (push @ push.T)
-        return Q
-
-    def variances(level: Any) -> Any:
-        at, heading = (level[list(levels).index(name)] for name in ("position", "heading"))
+    def variances(values: Any) -> Any:
+        at, heading = (values[list(levels).index(name)] for name in ("position", "heading"))
         return ca.vertcat(at**2, at**2, heading**2)
 
     return StochasticModel(
@@ -106,12 +64,60 @@ def coordinated_turn(Ts: float, *, drifts: bool = True) -> StochasticModel:
         states,
         OUTPUTS,
         levels,
-        transition,
+        partial(_transition, Ts=Ts, drifts=drifts),
         process,
         lambda x: x[:3],
         variances,
         angles=("psi",),
     )
+
+
+def _transition(x: Any, Ts: float, *, drifts: bool) -> Any:
+    """The state one sample later: moved along the mean heading, turned by the rate."""
+    psi, turned = x[2], x[3] * Ts
+    # The mean velocity points along the mean heading: sin(a)/a of half the turn, whose
+    # series holds (to 1e-10) where a division would be by zero.
+    a = turned / 2
+    small = ca.fabs(a) < 0.02
+    quotient = ca.sin(ca.if_else(small, 1.0, a)) / ca.if_else(small, 1.0, a)
+    length = Ts * ca.if_else(small, 1 - a**2 / 6 + a**4 / 120, quotient)
+    c, s = ca.cos(psi + a), ca.sin(psi + a)
+    u, v = x[4], x[5] if drifts else 0.0
+    moved = [x[0] + length * (u * c - v * s), x[1] + length * (u * s + v * c)]
+    return ca.vertcat(*moved, psi + turned, *[x[i] for i in range(3, 6 if drifts else 5)])
+
+
+def _intensity(x: Any, level: Mapping[str, Any], Ts: float, *, drifts: bool) -> Any:
+    """Intensity over one sample along the mean heading, by Gauss's quadrature.
+
+    Position answers a push of u and v to first order in the time left, one of r to second:
+    polynomials of degree four at most, for which three nodes are exact.
+    """
+    root = np.sqrt(0.6)
+    psi = x[2] + x[3] * Ts / 2
+    c, s = ca.cos(psi), ca.sin(psi)
+    u, v = x[4], x[5] if drifts else 0.0
+    order = ["surge", "yaw", *(["sway"] if drifts else [])]
+    n = 6 if drifts else 5
+    Q = ca.SX.zeros(n, n)
+    for node, weight in ((-root, 5 / 18), (0.0, 8 / 18), (root, 5 / 18)):
+        left = Ts * (1 + node) / 2
+        pushes = {
+            "surge": [c * left, s * left, 0.0, 0.0, 1.0, 0.0],
+            "sway": [-s * left, c * left, 0.0, 0.0, 0.0, 1.0],
+            "yaw": [
+                -(u * s + v * c) * left**2 / 2,
+                (u * c - v * s) * left**2 / 2,
+                left,
+                1.0,
+                0.0,
+                0.0,
+            ],
+        }
+        for name in order:
+            push = ca.vertcat(*pushes[name][:n])
+            Q += weight * Ts * level[name] ** 2 * (push @ push.T)
+    return Q
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -243,6 +243,7 @@ def _called(loop: Any, step: Any, sizes: Array, numbers: Array) -> Steps:
         out: Array,
         easy: float,
     ) -> None:
+        """Step through all samples in machine code; `kept` and `out` are written in place."""
         room = np.empty(3 * n_state + 3 * (1 + banded) + row + 1)
         arrays = (state, u, after, p, shares, numbers, kept, out, room)
         count, substeps = len(u), len(shares) // 2

@@ -102,6 +102,7 @@ def _directions(
     rng = np.random.default_rng(seed)
 
     def null_at(values: Mapping[str, int], p: int) -> Array:
+        """The null basis at a point modulo p, normalised to the free columns."""
         if is_over():
             raise OutOfTime
         point = evaluation.at(p, rng, values=values)

@@ -195,6 +195,7 @@ def _ends(
     """Values of the held parameter at which the first parameter leaves its bounds, and which."""
 
     def outside(t: float) -> str | None:
+        """The first parameter that lies outside its bounds at t, None where all are inside."""
         moved = dict(zip(shown, image(t), strict=True))
         for n in curve.moved:
             low, high = bounds.get(n, (-np.inf, np.inf))
@@ -238,6 +239,7 @@ def _compiled(
     ]
 
     def image(t: float) -> Array:
+        """Values of the parameters shown at t; NaN at a pole."""
         with np.errstate(all="ignore"):
             try:
                 return np.array(compiled[0](np.float64(t)), dtype=float)

@@ -253,6 +253,7 @@ def _fixing_sets(
     """One basis of every component, all combinations, lazily."""
 
     def choices(k: int) -> Iterator[tuple[int, ...]]:
+        """Choices of columns from component `k` on, one basis of each."""
         if k == len(parts):
             yield ()
             return

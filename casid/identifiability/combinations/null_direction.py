@@ -148,6 +148,7 @@ def null_directions(
     identity = np.eye(d, dtype=np.int64)
 
     def entries(values: Mapping[str, int], p: int) -> Array:
+        """Entries of the null basis modulo p, which is the identity on the free columns."""
         basis = np.asarray(null_at(values, p), dtype=np.int64)
         if basis.shape != (d, n) or not np.array_equal(basis[:, columns] % p, identity):
             raise IdentifiabilityError(

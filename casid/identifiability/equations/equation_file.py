@@ -106,6 +106,7 @@ def _loaded(path: Path) -> Mapping[str, Any]:
 
 def _from_json(text: str) -> Any:
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        """A mapping whose keys occur once; a repeated key is refused."""
         seen = dict(pairs)
         if len(seen) < len(pairs):
             keys = [k for k, _ in pairs]

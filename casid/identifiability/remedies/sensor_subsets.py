@@ -259,6 +259,7 @@ def _sums(spans: Spans) -> Iterator[tuple[Subset, _Rank]]:
         everything.add(rows)
 
     def extend(subset: Subset, basis: Basis, found: _Rank | None) -> Iterator[tuple[Subset, _Rank]]:
+        """Every larger subset with its rank; ranks below a full one need no elimination."""
         for i in range(subset[-1] + 1 if subset else 0, len(spans.rows)):
             larger = Basis(columns, spans.prime)
             larger.rows, larger.pivots = basis.rows, [*basis.pivots]

@@ -130,6 +130,7 @@ def _interpolated(
     rows, columns = zip(*wanted, strict=True)
 
     def values_at(values: Mapping[str, int], p: int) -> Array:
+        """Entries of the reduced matrix modulo p; refused where the pivots are other ones."""
         point = idle | {s: values[n] for n, s in moving.items()}
         form, pivots = prime_field.echelon(entries.modulo(point, p), p)
         if tuple(pivots) != there.pivots:

@@ -261,6 +261,7 @@ def extra_input(
     exchanges = _exchanges(model, balance, unit)
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        """Add a term that goes with the channel to the balance."""
         if channel in new.inputs:
             u = new.symbol(channel)
         else:

@@ -266,14 +266,14 @@ def sensor_lag(model: Model, channel: str, longest: float) -> Effect:
     """A sensor that follows through 1/(tau s + 1), tau at most `longest` seconds.
 
     A measured input that lags is undone: what acted is u + tau du/dt, with the centred slope of
-    the record. To first order in tau a lag is a delay. Beside a delay of the same output it comes
-    first, whichever was found first: the two commute, and an output that steps with a held input
-    leaves a lag without steps, which a delay between samples can shift.
+    the record. To first order in tau a lag is a delay. A lag comes before a delay of the same
+    output: the two commute, and a delay between samples cannot shift an output that steps.
     """
     p = Parameter(f"lag_{channel}", "s", 0.0, lower=0.0, upper=longest)
     is_output = channel in model.outputs
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        """Put a lag behind the sensor, or in front of the input."""
         if is_output:
             place = _after_last_clip(new.stages, channel)
             lag = Stage("lag", channel, names[0])
@@ -302,13 +302,13 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
     """An output that also feels another channel of its dimension: a sensor mounted askew.
 
     `source` is an output of the model (what it would show without noise), one of its inputs, or a
-    channel recorded beside the model, in `unit`. A thermometer feels how far the other temperature
-    is from its own: both have a zero that means nothing to it.
+    channel recorded beside the model, in `unit`. A temperature acts by its difference from this.
     """
     own = model.outputs[channel][1]
     p = Parameter(f"cross_{channel}_{source}", unit_quotient(own, unit, 1), 0.0)
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        """Add a share of the other channel to what this one reads."""
         expression, u = new.outputs[channel]
         if source in new.outputs:
             felt = new.outputs[source][0]

@@ -95,6 +95,7 @@ def _stop_of(
     square = carrying_unit(width**2)
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        """Add the force of each stop, smooth about its limit."""
         k = new.symbol(names[0])
         force = ca.SX(0.0)
         for limit, sign in _stops(side, [new.symbol(n) for n in names[1:]]):
@@ -159,6 +160,8 @@ def backlash(
     square = carrying_unit(width**2)
 
     def force(gap: Any) -> Any:
+        """Force of a spring and a damper behind a gap, smooth about its ends."""
+
         def slope(x: Any) -> Any:
             return x / ca.sqrt(x**2 + square)
 

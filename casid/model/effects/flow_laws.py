@@ -274,6 +274,7 @@ def _exchange(
     x = new.symbol(state)
 
     def exchanged(term: Expr) -> Expr:
+        """A term with the law in the place of the state, in its parts that go with the state."""
         slopes = addends(ca.jacobian(ca.SX(term), x))
         laws = [a for a in slopes if not _is_carried(new, a)]
         if of is not None:

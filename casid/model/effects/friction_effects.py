@@ -129,6 +129,7 @@ def hysteresis(
     )
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        """Add a Bouc-Wen state of the velocity, and its hysteretic force."""
         F_h, x_h, b, n = (new.symbol(n) for n in names)
         v = in_symbols_of(new, place.velocity)
         at_rest = 0.0 if is_null(new, names) else None

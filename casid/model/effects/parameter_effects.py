@@ -123,6 +123,7 @@ def state_scheduled_parameter(
     is_straight |= power == 1
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        """Replace the parameter by one that goes with the state."""
         x, value, s = new.symbol(state), new.symbol(name), new.symbol(names[0])
         if is_straight:
             moved = value + s * (ca.fabs(x) ** power - m)

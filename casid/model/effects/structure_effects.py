@@ -100,6 +100,7 @@ def missing_mode(model: Model, where: str | Place, omega: float, *, at_rest: boo
     )
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        """Add an oscillator that the velocity drives, and the force of its spring and damper."""
         J, w0, zeta = (new.symbol(n) for n in names)
         rate = place.velocity_unit
         initial = 0.0 if at_rest or is_null(new, names) else None
@@ -170,6 +171,7 @@ def missing_store(model: Model, balance: str, tau: float) -> Effect:
     )
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        """Add a store that follows the level with its time constant, and its flow."""
         C, time_constant = (new.symbol(n) for n in names)
         level = 0.0 if is_null(new, names) else None
         r = added_state(new, "r_m", rate, initial=level)

@@ -43,6 +43,7 @@ def unnamed_effects(
     what = a_quantity(place.unit)
 
     def term(shape: str, says: str, of: Expr, v_power: int, q_power: int = 0) -> Effect:
+        """The effect -c `of` along the place, with the unit of `of` in its powers."""
         suffix = "".join(c for c in shape.replace("^", "") if c.isalnum() or c == "_")
         return force_along(
             place,

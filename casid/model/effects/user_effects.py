@@ -160,6 +160,7 @@ def channel_effect(
     """
 
     def change(new: Model, own: Mapping[str, str]) -> None:
+        """Replace the channel by the user's expression."""
         value = expression(Symbols(new, own))
         if channel in new.outputs:
             new.replace_output(channel, value, new.outputs[channel][1])

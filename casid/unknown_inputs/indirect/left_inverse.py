@@ -207,6 +207,7 @@ def _grade_of(
     """Orders candidates: usable, proper, least improper; then the quieter."""
 
     def grade(f: RationalMatrix) -> tuple[int, int, float]:
+        """The worse a left inverse the larger: not causal, unstable, then by its gain of noise."""
         M = of(f)
         ahead, stable = excess(M), is_stable(M)
         kind = 0 if not ahead and stable else 1 if stable or not ahead else 2

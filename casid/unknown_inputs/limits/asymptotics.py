@@ -99,6 +99,7 @@ class Asymptotics(Presented):
         swap = {sympy.Symbol(str(k)): sympy.sympify(v) for k, v in values.items()}
 
         def put(value: Any) -> Any:
+            """A number or expression with the values substituted, refused where it has no limit."""
             value = sympy.sympify(value).subs(swap)
             if value.free_symbols:
                 return value

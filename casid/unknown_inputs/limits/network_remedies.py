@@ -152,6 +152,7 @@ class _Task:
         own = relation.common_denominator() if way in ("LS", "IV") else orders
 
         def found(orders: Orders) -> Asymptotics:
+            """The limit of the estimator `way` for a model of these orders."""
             if way == "LS":
                 terms = polynomial_regressors(Layout.of(orders, list(sources)), output, sources)
                 return regression_limit(system, Regression(output, terms), method=name)

@@ -51,6 +51,7 @@ def network_signals(network: Network) -> LinearSignals:
     nodes = tuple(label[n] for n in network.nodes)
 
     def response(z: Array) -> Array:
+        """(F, nodes, sources) responses of the nodes to all noise sources."""
         own = states.response(z)
         made = np.zeros((len(z), len(nodes), len(variances)), dtype=complex)
         for k, (column, model) in enumerate(entering):

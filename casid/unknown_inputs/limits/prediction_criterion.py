@@ -215,6 +215,7 @@ class _Parts:
         place = 0
 
         def take(n: int, first: int, monic: bool) -> _Complex:
+            """The next polynomial of `theta` at z: `n` coefficients from the power `first` on."""
             nonlocal place
             own = ca.vertsplit(theta[place : place + n]) if n else []
             place += n

@@ -227,6 +227,7 @@ class _Task:
         """IV with all known signals; too few of them are a reason, not an error."""
 
         def estimate(system: LinearSignals) -> Asymptotics:
+            """The limit of the regression on these terms; without one, unidentifiable."""
             try:
                 regression = self._regression(terms, self.known)
             except ModelError as why:
@@ -240,6 +241,7 @@ def _row(system: LinearSignals, remedy: Remedy, truth: Mapping[str, Any]) -> Rem
     """A remedy's limit; wrong signals are an error, no reason."""
 
     def estimate() -> Asymptotics:
+        """The limit of the remedy's estimator, against the true values."""
         if not isinstance(remedy.estimator, Regression):
             return remedy.estimator(system)
         true = {n: truth[n] for n in remedy.estimator.regressors if n in truth}

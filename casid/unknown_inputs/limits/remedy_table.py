@@ -52,6 +52,7 @@ def remedy_table(
     """
 
     def replaced(verb: str, kind: str, by: Signals) -> list[Substitution]:
+        """The substitution of unknown inputs by signals, as a list of one, or none."""
         for name in by or {}:
             if name not in unknown:
                 raise ModelError(
@@ -99,6 +100,7 @@ def with_simpler_noise(
     """
 
     def estimated() -> Asymptotics:
+        """The limit for the largest noise orders that are identifiable, with a note if reduced."""
         now = orders
         note: tuple[str, ...] = ()
         while True:

@@ -152,6 +152,7 @@ def _field(network: Network, at: Any, omega: Any, values: Mapping[str, Any] | No
 
 def _exact(q: Fraction, values: Mapping[str, Any]) -> Field:
     def read(g: Rational) -> Fraction:
+        """The value of a transfer function at q, as a fraction."""
         g = g.substitute(values)
         if g.parameters:
             raise ModelError(
@@ -174,6 +175,7 @@ def _symbolic(network: Network, values: Mapping[str, Any]) -> Field:
     K = sympy.QQ.frac_field(*sympy.symbols([letter, *names]))
 
     def read(g: Rational) -> Any:
+        """The transfer function as an element of the field of its parameters."""
         g = g.substitute(values)
         try:
             return K.from_sympy(g.expression(sympy.Symbol(letter)))

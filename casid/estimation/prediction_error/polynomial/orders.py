@@ -113,30 +113,23 @@ class Layout:
                 f"orders = {orders!r}; give Orders(na=.., nb=.., nc=.., nd=.., nf=.., nk=..)"
             )
 
-        def whole(name: str, value: Any) -> int:
-            if not is_whole(value):
-                raise ModelError(
-                    f"order {name} = {value!r}: give a whole number of at least 0, the number of "
-                    f"{'samples of delay' if name.startswith('nk') else 'free coefficients'}"
-                )
-            return int(value)
-
         def each(name: str, value: PerInput) -> tuple[int, ...]:
+            """One order per input, of a number for all of them or a mapping by name."""
             if not isinstance(value, Mapping):
-                return tuple(whole(name, value) for _ in inputs)
+                return tuple(_whole(name, value) for _ in inputs)
             if set(value) != set(inputs):
                 raise ModelError(
                     f"{name} names {', '.join(value) or 'no input'}, the data have "
                     f"{', '.join(inputs) or 'none'}; give one number for each input of the data"
                 )
-            return tuple(whole(f"{name}[{i}]", value[i]) for i in inputs)
+            return tuple(_whole(f"{name}[{i}]", value[i]) for i in inputs)
 
         layout = cls(
             tuple(inputs),
-            whole("na", orders.na),
+            _whole("na", orders.na),
             each("nb", orders.nb),
-            whole("nc", orders.nc),
-            whole("nd", orders.nd),
+            _whole("nc", orders.nc),
+            _whole("nd", orders.nd),
             each("nf", orders.nf),
             each("nk", orders.nk),
         )
@@ -228,3 +221,13 @@ class Polynomials:
     C: Array
     D: Array
     F: list[Array]
+
+
+def _whole(name: str, value: Any) -> int:
+    """An order as a whole number of at least zero; anything else is refused."""
+    if not is_whole(value):
+        raise ModelError(
+            f"order {name} = {value!r}: give a whole number of at least 0, the number of "
+            f"{'samples of delay' if name.startswith('nk') else 'free coefficients'}"
+        )
+    return int(value)

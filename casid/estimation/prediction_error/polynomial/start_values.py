@@ -156,6 +156,7 @@ def _equation_error(data: Data, layout: Layout) -> list[Candidate]:
     own = list(zip(layout.nk, layout.nb, strict=True))
 
     def found(label: str, residuals: Sequence[Array], nc: int, start: int) -> Candidate:
+        """Start values by a regression on signals and residuals, from sample `start` on."""
         start = min(start, max(len(y) for y, _ in data) // 3)
         cut = [[s[start:] for s in (*r, e)] for r, e in zip(records, residuals, strict=True)]
         blocks = [(0, 1, ar), *((i + 1, k, n) for i, (k, n) in enumerate(own))]
