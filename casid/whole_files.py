@@ -10,6 +10,14 @@ from pathlib import Path
 from typing import IO
 
 
+def write_bytes(path: Path, content: bytes) -> Path:
+    """Write `content` beside `path` and move it there in one step; returns the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as file:
+        file.write(content)
+    return path
+
+
 @contextmanager
 def replacing(path: Path, *, is_synced: bool = False) -> Iterator[IO[bytes]]:
     """A file open for writing beside `path`, moved there in one step once it is written.

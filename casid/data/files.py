@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Files of results: text and JSON, each whole or not at all, and the folder they are in."""
 
 from __future__ import annotations
 
@@ -13,20 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from casid.errors import DataError
-from casid.whole_files import replacing
+from casid.whole_files import write_bytes
 
 
 def write_text(path: Path, text: str) -> Path:
     """Write `text` beside `path` and move it there in one step; returns the path."""
     return write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, content: bytes) -> Path:
-    """Write `content` beside `path` and move it there in one step; returns the path."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as file:
-        file.write(content)
-    return path
 
 
 @contextlib.contextmanager

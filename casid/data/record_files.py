@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from casid.arrays import FloatArray
-from casid.data.files import write_bytes
 from casid.data.reading.columns import ColumnSpec
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.model.units import parse_unit
+from casid.whole_files import write_bytes
 
 SUFFIXES = (".csv", ".parquet")
 

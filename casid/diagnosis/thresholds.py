@@ -1106,7 +1106,7 @@ class Foresight:
         0.01,
         "of the squares of each held-out error, which causes leave at most where no second search "
         "beside a disturbance is worth its time: one that moves the system leaves more",
-        f"{TESTS}/search/test_causes_that_foretell.py",
+        f"{TESTS}/search/test_causes_that_predict.py",
     )
 
 

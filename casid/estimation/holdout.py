@@ -282,7 +282,7 @@ def _per_window(fit: Fit, error: Array) -> Array:
     """Errors (N, ny) of windows with what the initial state of each takes of them given back.
 
     It is estimated from the window alone, where n samples leave n - k parts in n of the noise's
-    power to k states: of two models that with more states would foretell better by that alone.
+    power to k states: of two models that with more states would predict better by that alone.
     """
     cuts = window_cuts(len(error), window_length(fit))
     out, states = error.copy(), len(fit.criterion.model.states)

@@ -16,7 +16,7 @@ from casid.arrays import Array
 from casid.errors import CasidError, DataError
 from casid.saving.plain_values import Decoder, Encoder, columns_of
 from casid.versions import versions
-from casid.whole_files import replacing
+from casid.whole_files import write_bytes
 
 SCHEMA = "casid.saved"
 VERSION = 1
@@ -58,14 +58,14 @@ def save(result: Any, path: str | Path) -> Path:
     }
     try:
         if path.suffix:
-            _write(path, _zipped(members))
+            write_bytes(path, _zipped(members))
         else:
             path.mkdir(parents=True, exist_ok=True)
             for old in path.glob("arrays_*.parquet"):
                 if old.name not in members:
                     old.unlink()
             for name, data in members.items():
-                _write(path / name, data)
+                write_bytes(path / name, data)
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; give another path") from error
     return path
@@ -200,9 +200,3 @@ def _zipped(members: Mapping[str, bytes]) -> bytes:
         for name, data in members.items():
             file.writestr(zipfile.ZipInfo(name, _TIME), data, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
-
-
-def _write(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as file:
-        file.write(data)

@@ -58,7 +58,7 @@ def null_noise(
 
     Parameters
     ----------
-    noise : with whatever passes for a disturbance.
+    noise : with what may be a disturbance.
     input_sd : measured input -> noise of its sensor.
     """
     left = {}

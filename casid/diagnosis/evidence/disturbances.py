@@ -251,7 +251,7 @@ def p_value_of(at: Weighted, group: Collection[str]) -> float:
         if (shown := at.full.source_sd.get(name, 0.0)) > sd:
             kept[name] = min(shown, beyond * sd)
     without = _noise_with(at, kept)
-    # What acts alike would else pass for noise of an input that its own channel does not have.
+    # What acts alike would else be taken for noise of an input that its own channel does not have.
     most = {n: floors[n] for n in floors if without.source_sd.get(n, 0.0) > floors[n]}
     if most:
         without = _noise_with(at, most | kept)

@@ -52,7 +52,7 @@ class Weighted:
     model: Model
     fit: Fit
     noise: NoiseModel  # what it is fitted under
-    full: NoiseModel  # with whatever passes for a disturbance
+    full: NoiseModel  # with what may be a disturbance
     input_sd: Mapping[str, float]
     noise_absorbs_misfit: bool  # much of it is explained by neither sensors nor measured inputs
     unbiased: Fit | None = None  # where the noise of the inputs has no part in the estimate, or a
@@ -68,7 +68,7 @@ class Weighted:
     def likelihoods(self) -> Weighted:
         """The same under a noise that gives likelihoods, where one was sought: disturbances in it.
 
-        Where misfit passes for noise, the noise of sensors and inputs alone gives none.
+        Where it absorbs misfit, the noise of sensors and inputs alone gives none.
         """
         return self.beside if self.noise_absorbs_misfit and self.beside is not None else self
 

@@ -54,7 +54,7 @@ def ranked_by_remainder(
     out = []
     before = refitting.value(at)
     # Less what input noise gives to each: a noise-free channel must not win by that alone. Where
-    # that is nearly all, the misfit passes for noise of an input, and it is no measure.
+    # that is nearly all, the noise of an input absorbs the misfit, and it is no measure.
     is_measure = all(before - 0.5 * c.gain > COMPARISON.least_left * before > 0 for c in found)
     before = before if is_measure else at.fit.solution.value
     for c in found:
@@ -69,7 +69,7 @@ def ranked_by_remainder(
 def without_imitations(
     found: Sequence[Candidate], significant: Sequence[Candidate], *, by_likelihood: bool = False
 ) -> list[Candidate]:
-    """Those that may be causes where misfit passes for noise: no imitator of a better law.
+    """Possible causes where the noise model absorbs misfit: no imitator of a better law.
 
     In a decay, time and amplitude go together, and what happens in time, or rings on its own,
     imitates whatever depends on amplitude. It must explain clearly more than the best significant
@@ -247,7 +247,7 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
         is_open |= is_blurred and _is_near_law(best, c)
         # Worse only by what noise of the inputs is taken off: neither is better. Of a channel that
-        # foretells a noisy input that is all its advantage.
+        # predicts a noisy input that is all its advantage.
         is_open |= total < 0.0 and c.effect.kind != "extra_input"
         is_worse = 2 * total > COMPARISON.strong and p < COMPARISON.vuong_p
         if c.merit > best.merit and is_worse and best.effect.kind != "extra_input":
@@ -259,7 +259,7 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
 
 
 def near_ones(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """Candidates that explain nearly as much as the best, where misfit passes for noise.
+    """Candidates that explain nearly as much as the best, if the noise model absorbs misfit.
 
     Their gains are no likelihoods then: which of them is the cause shows under the noise that it
     leaves (`better_rivals`, `reconsidered`).

@@ -58,7 +58,7 @@ class Adopted:
     before : the model that it was adopted into.
     is_alarm : True if it was the first, significant by itself under noise that is known.
     share : of the misfit that all adopted effects removed.
-    near : what explains nearly as much, where misfit passed for noise.
+    near : what explains nearly as much, where the noise model absorbed misfit.
     rounding : variable -> what a standard deviation of the speed within which dry friction
         reverses moves its estimate by.
     shifts : the same of what instants are not known to, one for each of them.

@@ -1,8 +1,8 @@
-"""Effects that imitate the small misfit which others leave, and are no causes beside them.
+"""Effects that imitate the small misfit left by others, and are no causes beside them.
 
-A line of the residual at a resonance of the model is what an error of its stiffness or damping
-leaves, which shifts and stretches the motion there; a third law of friction in one place repairs
-the shape of two others.
+An error in stiffness or damping leaves a line in the spectrum of the residual at a resonance of the
+model, where it shifts and stretches the motion; a third law of friction in one place corrects the
+shape of two others.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def drives_one_way(effect: Effect, at: Weighted) -> bool:
     """True of dry friction that differs with direction, in a place that has no dry friction.
 
     F_c + F_a the one way and F_c - F_a the other resist both ways where |F_a| is below F_c. Alone
-    it would drive the motion one way, as a constant term does from which only rest tells it.
+    it would drive the motion one way, like a constant term, from which it differs at rest alone.
     """
     if effect.kind != "asymmetric_friction" or not effect.constants:
         return False
@@ -64,7 +64,7 @@ def drives_one_way(effect: Effect, at: Weighted) -> bool:
         return float(np.mean(sides[1] - sides[0]))
 
     near, far = (resistance(share) for share in FRICTION.speeds)
-    # What stays of it towards rest; of one in proportion to speed, nothing.
+    # The resistance extrapolated to rest: zero if it is proportional to speed.
     return not 2.0 * near - far > FRICTION.share * abs(near)
 
 

@@ -2,9 +2,9 @@
 
 An input that acts late and a sensor that is late look alike, and parameters of the model make up
 for either: the fit of the model as it is may stop at a bound, with a residual that says little of
-what a lag would gain there, or of its sign. Where misfit passes for noise the lags that other
-effects leave off the short list are refitted beside them. One of each channel is enough, since a
-lag is a delay to first order; where it comes among the best, its delay is refitted as well.
+what a lag would gain there, or of its sign. Where the noise model absorbs misfit, the lags that
+other effects leave off the short list are refitted beside them. One of each channel is enough,
+since a lag is a delay to first order; where it comes among the best, its delay is refitted as well.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def lags_beside(at: Weighted, table: ScoreTable, chosen: Sequence[Score]) -> lis
     in its place: it then starts from what seems best of those that are positive.
     """
     if not at.noise_absorbs_misfit:
-        return []  # under the right noise a score foretells what a refit gains
+        return []  # under the right noise a score predicts what a refit gains
     late = [s for s in table.tested if s.effect.kind in LATE]
     known = {_place(s.effect) for s in chosen if s.effect.kind in LATE}
     lags = [s for s in late if s.effect.kind != "time_delay" and _place(s.effect) not in known]

@@ -1,4 +1,4 @@
-"""What a search has computed of a model under one noise, kept for where it is requested again."""
+"""Results that a search keeps: tests, scores and refits of a model under one noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from casid.estimation.simulation.minimization import Fit
 
 @dataclass(slots=True)
 class Memory:
-    """Shared by the search under the noise of sensors and inputs, and by that beside disturbances.
+    """Results kept, shared by the searches with and without disturbances in the noise.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
-"""Rivals that are likelier than the cause in the end, and take its name.
+"""Rivals that are likelier than a cause in the complete model, and replace it.
 
-A cause is chosen while others are missing, or while misfit passes for noise. With all of them in
-the model, and under the noise that is then left, gains are likelihoods.
+A cause is chosen while others are missing, or while the noise model absorbs misfit. With all of
+them in the model, and under the noise that is then left, gains are likelihoods.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from casid.estimation.simulation.fit import FitSettings
 def with_likelier_rivals(
     search: Search, found: Adoption, start: Weighted, split: Split, settings: FitSettings
 ) -> Adoption:
-    """Every cause by its rival that is better by strong evidence, unless it predicts worse.
+    """The causes, each replaced by a rival that is better by strong evidence and predicts as well.
 
     Parameters
     ----------
@@ -40,10 +40,10 @@ def with_likelier_rivals(
 
 
 def likelier_rival(adopted: Sequence[Adopted], i: int) -> Candidate | None:
-    """The best rival with a name, where it is better than a cause by strong evidence.
+    """The best named rival, where it is better than a cause by strong evidence.
 
-    A change for a while takes no law's place: it follows whatever passes a level once, an overflow
-    as closely as a window that was open.
+    A temporary change does not replace a law: it fits anything that passes a level once, an
+    overflow as closely as a window that was open.
     """
     own = adopted[i].candidate
     taken = {a.candidate.effect.key for a in adopted}

@@ -1,8 +1,8 @@
 """Rivals judged once more when everything that is missing has been named.
 
-In the round that adopts a cause the others are still missing: their misfit passes for noise, and
-what imitates several causes at once looks like a rival of each. With the others in the model, and
-under the noise that is then left, a rival must stand in for its cause alone.
+In the round that adopts a cause the others are still missing: the noise model absorbs their misfit,
+and what imitates several causes at once looks like a rival of each. With the others in the model,
+and under the noise that is then left, a rival must stand in for its cause alone.
 """
 
 from __future__ import annotations
@@ -96,8 +96,9 @@ def better_rivals(
 ) -> list[Candidate]:
     """Contenders of the last cause that are better under the noise found with it, the best first.
 
-    Where misfit passed for noise, gains were no likelihoods: one that imitates the cause, and
-    leaves a little, may have come first. Of those that are hardly better named effects come first.
+    Where the noise model absorbed misfit, gains were no likelihoods: one that imitates the cause,
+    and leaves a little, may have come first. Of those that are hardly better named effects come
+    first.
     """
     last = adopted[-1]
     again = without_cause(search, [a.candidate for a in adopted[:-1]], start, at)

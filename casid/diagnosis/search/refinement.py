@@ -295,7 +295,7 @@ class Refinement:
         count = 0
         for c in candidates:
             may_be = c.effect.kind != "unknown" or is_limit and c.effect.is_unnamed
-            # A channel that foretells a noisy input errs less by that alone.
+            # A channel that predicts a noisy input errs less by that alone.
             may_be &= c.effect.kind != "extra_input" or not any(self.start.input_sd.values())
             is_new = c.effect.key not in taken and may_be and not is_imitator(c)
             # Near one level a constant fits as well as the law whose tangent it is.

@@ -20,12 +20,12 @@ def is_more_than_noise(at: Weighted, search: Search) -> bool:
 
 
 def is_noise_alone(at: Weighted, search: Search) -> bool:
-    """True if a model leaves noise alone, of no more than sensors and inputs have."""
+    """True if the residual is noise, of no more than sensors and inputs have."""
     return not at.noise_absorbs_misfit and not is_more_than_noise(at, search)
 
 
 def tested_residual(at: Weighted, search: Search, level: float) -> ResidualTests:
-    """The residual's tests; those of the last model requested are kept."""
+    """Tests of the residual at a level; those of the last model are kept."""
     memory = search.memory
     if memory.tested is None or memory.tested[0] is not at:
         of = search.weighing

@@ -68,7 +68,7 @@ def adopt_causes(
     once: FitSettings,
     first: Sequence[Candidate] = (),
 ) -> Adoption:
-    """Adopt effects until nothing significant is left that lowers the errors; keep what matters.
+    """Adopt effects until no significant one lowers the errors; keep those that matter.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def adopt_causes(
 
 @dataclass(slots=True)
 class _Selection:
-    """Forward selection: the model as extended so far."""
+    """State of the forward selection: the model extended by the causes adopted so far."""
 
     search: Search
     split: Split
@@ -142,7 +142,7 @@ class _Selection:
 
     @property
     def is_done(self) -> bool:
-        """True if laws were adopted, and a random disturbance is all that they leave.
+        """True if laws were adopted, and a random disturbance explains the rest.
 
         A change in time may have followed a disturbance, or imitate what is sought next.
         """
@@ -166,9 +166,9 @@ class _Selection:
         return self._adopt_pair(found)
 
     def _adopt_in_its_place(self, refused: Adopted, found: Sequence[Adopted]) -> bool:
-        """Adopt what seemed to imitate a refused law, where it explains more than all others do.
+        """Adopt what seemed to imitate a refused law if it explains more than all others.
 
-        An imitation of a law leaves what the law has beyond it. A change in time that foretells
+        An imitation of a law does not explain all that the law does. A change in time that predicts
         what was held out, and leaves noise alone, is none.
         """
         if is_imitator(refused.candidate):
@@ -273,7 +273,7 @@ class _Selection:
         why = why_not_adopted(self.errors, errors, is_alarm=news[0].is_alarm)
         why = why or why_worse(self.before.continued, errors.continued)
         if why and is_disturbed and is_as_good_held_out(self.errors, errors):
-            # Whether it foretells what was held out, the motion that is simulated may show.
+            # Whether it predicts what was held out, the motion that is simulated may show.
             fit = whole()
             why = self._why_not_simulated(fit)
         if why:
@@ -312,7 +312,7 @@ class _Selection:
 
         Of two that act together, stiffness and damping of one swing say, the first alone shifts
         the errors from where it helps to where the second is missing. A further store alone makes
-        up for a dead time by its own time constant, and with it foretells what is slow the worse.
+        up for a dead time by its own time constant, and with it predicts what is slow the worse.
         """
         room = self.search.max_causes - len(self.adopted)
         if room < 2 or not self.at.noise_absorbs_misfit:

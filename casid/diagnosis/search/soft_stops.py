@@ -2,8 +2,8 @@
 
 Mostly that is what a spring that hardens looks like, as the righting arm of a ship does. A stop has
 a corner, where its force begins: it is likelier than the same stop with a corner that is rounded,
-and than all other laws of its place. While the misfit of something else passes for noise, a corner
-may repair that: such a stop is a cause only where it leaves noise alone.
+and than all other laws of its place. While the noise model absorbs the misfit of something else, a
+corner may repair that: such a stop is a cause only where it leaves noise alone.
 """
 
 from __future__ import annotations

@@ -225,7 +225,7 @@ def _select_terms(
 ) -> _Terms:
     """Forward selection at level `alpha`.
 
-    `disturbed` gives the regression under the noise with whatever passes for a disturbance.
+    `disturbed` gives the regression under the noise with what may be a disturbance.
     """
     groups = regression.groups
     charge = float(np.log(len(regression.e)))
@@ -244,7 +244,7 @@ def _select_terms(
         if best.adjusted >= alpha or best.gain <= charge * best.rank or is_small:
             break
         # Under the sensors' noise alone a disturbance is coloured, and a few of its swings decide:
-        # a term must be significant where whatever passes for a disturbance counts as noise, too.
+        # a term must be significant where what may be a disturbance counts as noise, too.
         loud = loud or disturbed()
         again = {t.group: t for t in loud.test([t.group for t in chosen], seed=seed)}
         if best.group not in again or again[best.group].adjusted >= alpha:

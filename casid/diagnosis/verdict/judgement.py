@@ -111,7 +111,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     is_disturbed = bool(disturbances) or bool(found.adopted and found.at.noise.spectra)
     fitted, held = _errors(found, with_disturbances=is_disturbed)
     part = held if held.get("extended_rmse") else fitted
-    # What is held out has another disturbance in it, but one that its past foretells.
+    # What is held out has another disturbance in it, but one that its past predicts.
     is_random = is_disturbed and _predicts_held_out(found, remainder)
     causes = causes_of(found, extended or baseline, problem.columns())
     with_sign = partial(_with_the_sign, found)
@@ -320,7 +320,7 @@ def _undecided(
 def _bounds_beyond_chance(problem: Problem, fit: Fit, under: Fit | None) -> dict[str, str]:
     """The bounds that a fit met, of those which hold the same fit `under` noise beyond chance.
 
-    All, where that noise is None: misfit that passes for noise is no measure of chance.
+    All, where that noise is None: a noise model that absorbs misfit is no measure of chance.
     """
     met = bounds_met(problem, fit)
     beyond = met if under is None else held_beyond_chance(under)

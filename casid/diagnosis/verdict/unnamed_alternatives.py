@@ -61,7 +61,7 @@ def unnamed_alternatives(
 ) -> tuple[UnnamedAlternative, ...]:
     """Functions that the record cannot reject against the causes together, best first.
 
-    None where misfit passes for noise: (1) is no likelihood there; the remainder decides.
+    None where the noise model absorbs misfit: (1) is no likelihood there; the remainder decides.
 
     Parameters
     ----------

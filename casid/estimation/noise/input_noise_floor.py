@@ -18,7 +18,7 @@ def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict
     tapered periodogram are Gamma distributed, and the quietest lie below the mean. A command that
     is held has steps up to Nyquist, but no noise: that would not repeat its values. Nor does it
     where it is rounded: then it is that of the rounding. Samples that were filled do not count.
-    Where its past and the outputs foretell a channel more closely than that, as in a closed loop,
+    Where its past and the outputs predict a channel more closely than that, as in a closed loop,
     the error of that prediction is the bound (`foreseen_noise`).
     """
     columns = {

@@ -157,16 +157,6 @@ def _trends(figure: Panels, k: int, fleet: Fleet, effect: ParameterEffects, when
     centre = effect.mean + slope * (t - effect.middle)
     half = 1.96 * np.hypot(effect.mean_error, error * (t - effect.middle))
     times = _times(fleet, t)
-    figure.add(
-        k,
-        x=[*times, *times[::-1]],
-        y=np.concatenate([centre + half, (centre - half)[::-1]]),
-        name="95 % band",
-        mode="lines",
-        line={"width": 0},
-        fill="toself",
-        fillcolor=translucent(AFTER, 0.3),
-        hoverinfo="skip",
-    )
+    figure.band(k, times, centre, half)
     figure.line(k, times, centre, "the fleet", AFTER)
     figure.label(k, y=axis_text(effect.name, effect.unit))

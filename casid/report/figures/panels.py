@@ -143,11 +143,11 @@ class Panels:
         """Draw points in panel k; `trace` as for `add`."""
         self.add(k, x=x, y=y, name=name, mode="markers", marker=marker, **trace)
 
-    def band(self, k: int, x: Array, centre: Array, half: Array) -> None:
+    def band(self, k: int, x: Array | list[Any], centre: Array, half: Array) -> None:
         """Shade the 95 % band centre -+ half (n,) over x in panel k."""
         self.add(
             k,
-            x=np.concatenate([x, x[::-1]]),
+            x=[*x, *x[::-1]] if isinstance(x, list) else np.concatenate([x, x[::-1]]),
             y=np.concatenate([centre + half, (centre - half)[::-1]]),
             name="95 % band",
             mode="lines",

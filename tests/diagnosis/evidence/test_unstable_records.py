@@ -312,7 +312,7 @@ def test_a_late_sensor_of_an_unstable_plant_is_named_with_its_delay():
 
 
 def test_a_late_sensor_shows_nothing_of_the_window_before():
-    """That ends in another state than the next one begins in, which its own states foretell."""
+    """That ends in another state than the next one begins in, which its own states predict."""
     record, late = upright(N=400), problem().model
     late = late.extend(casid.time_delay(late, "phi", longest=5 * TS))
     late = late.extend(casid.sensor_lag(late, "gyro", longest=5 * TS))

@@ -136,7 +136,7 @@ def test_what_noise_of_the_inputs_alone_makes_worse_stays_a_rival(worse: float) 
     assert rivals == ([other] if worse < 0.0 else [])
 
 
-def test_a_channel_that_foretells_a_noisy_input_is_no_rival_by_smaller_errors() -> None:
+def test_a_channel_that_predicts_a_noisy_input_is_no_rival_by_smaller_errors() -> None:
     best, wind = as_fitted(LAW, 500.0, 1.0), as_fitted(WIND, 480.0, 0.9)
     assert rivals_of(CALM, best, [best, wind]) == ()
 

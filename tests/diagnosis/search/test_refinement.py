@@ -70,7 +70,7 @@ def hardening(of: Refinement) -> Candidate:
 
 @pytest.mark.parametrize(("noise", "is_tried"), [(0.0, True), (0.02, False)])
 def test_a_channel_takes_no_cause_s_place_by_smaller_errors_beside_a_noisy_input(noise, is_tried):
-    """One that foretells the input (its reference) errs less by that alone."""
+    """One that predicts the input (its reference) errs less by that alone."""
     model, unused = roll_decay.decay_model(), None
     drag, wind = (
         Candidate(effect, (), model, unused, 100.0, 0.0, 9.0)
@@ -265,19 +265,19 @@ def test_a_leaner_model_whose_fit_went_astray_is_not_taken():
     assert of._rebuilt_unless_worse(found, found.adopted[1:], of.start.fit) is found
 
 
-def test_a_leaner_model_that_foretells_worse_than_the_model_as_it_is_is_not_taken(monkeypatch):
-    """Of two that only together foretell what was held out neither is superfluous."""
+def test_a_leaner_model_that_predicts_worse_than_the_model_as_it_is_is_not_taken(monkeypatch):
+    """Of two that only together predict what was held out neither is superfluous."""
     of = refinement(0.07)
     first = hardening(of)
     found = adopted(of, first, beside(of, first, quadratic_damping(first.model, "torque"), 0.05))
     one = adopted(of, first).fit
     sizes = {id(of.base): 1.0, id(found.fit): 0.5, id(one): 2.0}
 
-    def foretelling(fit, split, units):
+    def predicting(fit, split, units):
         errors = simulation_errors(found.fit, split, units)
         return replace(errors, continued=sizes[id(fit)] * np.ones_like(errors.continued))
 
-    monkeypatch.setattr(f"{MODULE}.simulation_errors", foretelling)
+    monkeypatch.setattr(f"{MODULE}.simulation_errors", predicting)
     of = replace(of)  # its errors of the model as it is anew
     assert of._loses_too_much(found.fit, one)
     sizes[id(one)] = 0.9

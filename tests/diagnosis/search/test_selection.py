@@ -88,7 +88,7 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
     ("drift", "leaves", "adopted"),
     [(120.0, "", "parameter_drift"), (70.0, "", "sensor_scale"), (120.0, "more", "sensor_scale")],
 )
-def test_a_drift_takes_the_place_of_a_law_that_foretells_worse_where_it_leaves_noise_alone(
+def test_a_drift_takes_the_place_of_a_law_that_predicts_worse_where_it_leaves_noise_alone(
     monkeypatch, drift, leaves, adopted
 ):
     """A loss that grows while a furnace gets hotter looks like one that grows with the heat.

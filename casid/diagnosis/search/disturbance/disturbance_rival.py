@@ -94,7 +94,7 @@ def weighed_against_disturbances(
 ) -> tuple[Search, Weighted, Adoption]:
     """The search, the model as it is, and what was found, that are likeliest beside disturbances.
 
-    The same as given where nothing would pass for a disturbance, or a parameter is held at its
+    The same as given where nothing looks like a disturbance, or a parameter is held at its
     bound under a disturbance, too: that leaves misfit of its own.
 
     Parameters

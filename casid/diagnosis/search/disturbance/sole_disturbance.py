@@ -1,7 +1,7 @@
 """Whether a random disturbance is all that a model leaves: then no cause has to be sought.
 
 A search beside a sea finds many effects that imitate it, refits them, and refuses them all against
-the disturbance in their place. Three looks foretell that: the residual under the disturbance is
+the disturbance in their place. Three checks predict that: the residual under the disturbance is
 random, and none of the effects that score best, beside it or under the sensors' noise, lets the
 disturbance explain so much less that its likelihood would pay for it. An effect that by its score
 explains most of the misfit is refitted beside the disturbance; where one scores beside it all the

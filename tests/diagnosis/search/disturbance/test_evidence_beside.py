@@ -75,7 +75,7 @@ def test_a_heat_capacity_that_jumps_in_a_disturbance_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_friction_is_named_in_a_sea_that_hides_what_it_foretells() -> None:
+def test_friction_is_named_in_a_sea_that_hides_what_it_predicts() -> None:
     """Whitened by the sea, what was held out cannot tell; the simulated motion errs by half."""
     case = Case("hull", 3129, 0)
     system, problem = system_and_problem(case)

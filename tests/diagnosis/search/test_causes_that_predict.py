@@ -1,4 +1,4 @@
-"""Where causes foretell what was held out and leave what is no disturbance, none is sought."""
+"""Where causes predict what was held out and leave what is no disturbance, none is sought."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def record() -> casid.Record:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("foretells", [True, False])
-def test_nothing_is_sought_beside_a_disturbance_where_causes_foretell(monkeypatch, foretells):
+@pytest.mark.parametrize("predicts", [True, False])
+def test_nothing_is_sought_beside_a_disturbance_where_causes_predict(monkeypatch, predicts):
     """Friction is kept out of the search: it shows in what the spring leaves."""
     said: list[str] = []
     problem = mass()
@@ -61,8 +61,8 @@ def test_nothing_is_sought_beside_a_disturbance_where_causes_foretell(monkeypatc
     search = Search(baseline.weighing, {}, max_causes=1, without=without)
     found = adopt_causes(search, baseline.start, baseline.fit, split, settings.refit)
     assert [a.candidate.effect.kind for a in found.adopted] == ["cubic_stiffness"]
-    if not foretells:
+    if not predicts:
         monkeypatch.setattr(disturbance_rival, "is_all_but_predicted", lambda *_: False)
     *_, after = weighed_against_disturbances(search, found, baseline, settings)
     assert [a.candidate.effect.kind for a in after.adopted] == ["cubic_stiffness"]
-    assert any("treat the remainder as a disturbance" in s for s in said) != foretells
+    assert any("treat the remainder as a disturbance" in s for s in said) != predicts
