@@ -278,7 +278,7 @@ def _held_out(name: str, d: Signals, simulated: Array, mask: Array) -> HeldOut:
     return HeldOut(name, d.t[mask], measured[mask], simulated[mask], error[mask])
 
 
-def _per_window(fit: Fit, error: Array) -> Array:
+def error_per_window(fit: Fit, error: Array) -> Array:
     """Errors (N, ny) of windows with what the initial state of each takes of them given back.
 
     It is estimated from the window alone, where n samples leave n - k parts in n of the noise's
@@ -298,7 +298,7 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
 
     With `anew` the held-out end of a record starts from an initial state of its own, as a record
     held out does: a simulation that runs on gathers the errors of an integrator. Errors in windows
-    are as large as if their initial states were known (`_per_window`).
+    are as large as if their initial states were known (`error_per_window`).
     """
     weights = fit.criterion.weights
     parts = []
@@ -316,7 +316,7 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
     rest = Split([], [], [], split.apart) if anew else split
     parts += [h.error * weights for h in validation(fit, rest)]
     if _has_windows(fit):
-        parts = [_per_window(fit, error) for error in parts]
+        parts = [error_per_window(fit, error) for error in parts]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
 
 
@@ -371,7 +371,7 @@ def why_worse(before: Array, after: Array) -> str:
     return ""
 
 
-def _measured(signals: Signals, experiment: Experiment, outputs: Sequence[str]) -> Array:
+def measured_readings(signals: Signals, experiment: Experiment, outputs: Sequence[str]) -> Array:
     """(N, ny) readings, those that do not count as they were recorded; NaN where there is none."""
     record, joined = experiment.record, experiment.joined
     if record.N != signals.N or any(name not in record.names for name in outputs):
@@ -403,7 +403,7 @@ def record_views(base: Fit, extended: Fit | None, split: Split) -> tuple[RecordV
                 t=d.t,
                 outputs=base.criterion.outputs,
                 output_units=tuple(unit for _, unit in model.outputs.values()),
-                measured=_measured(d, experiment, base.criterion.outputs),
+                measured=measured_readings(d, experiment, base.criterion.outputs),
                 used=d.used,
                 fitted=np.zeros(d.N, dtype=bool) if apart else ~split.held[e],
                 baseline=y,

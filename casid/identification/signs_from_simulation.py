@@ -156,7 +156,7 @@ def wrong_sign(
     if any(all(_rests(e.record, n) for e in experiments) for n in inputs):
         return None
     channels = [n for n in (*model.outputs, *inputs) if _may_be_turned(experiments, n)]
-    short = [_most_excited(e, tuple(model.outputs)) for e in experiments]
+    short = [most_excited(e, tuple(model.outputs)) for e in experiments]
     quick = quick_settings(settings)
     recorded = _as_recorded(model, experiments, short, quick, reported)
     if recorded is not None and not is_poor(recorded):
@@ -248,7 +248,7 @@ def _by_reference(
     alpha: float,
 ) -> WrongSign | None:
     """The channel that instruments from a reference suspect, where the simulation is no worse."""
-    long = [_most_excited(e, tuple(problem.model.outputs), 10_000) for e in experiments]
+    long = [most_excited(e, tuple(problem.model.outputs), 10_000) for e in experiments]
     for reference in _references(problem, long):
         try:
             flips = sign_flips(problem, long, reference=reference)
@@ -389,7 +389,7 @@ def _fitted(
     return fit if np.isfinite(fit.solution.value) else None
 
 
-def _most_excited(
+def most_excited(
     experiment: Experiment, outputs: tuple[str, ...], samples: int = 2000
 ) -> Experiment:
     """The stretch of a record in which its outputs move the most."""

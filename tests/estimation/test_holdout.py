@@ -11,9 +11,9 @@ from scipy.signal import cont2discrete
 
 import casid
 from casid.estimation.holdout import (
-    _measured,
     held_out_error,
     holding_out_measured,
+    measured_readings,
     record_views,
     split_records,
     why_no_better,
@@ -204,7 +204,7 @@ def shown(values: np.ndarray, gone: np.ndarray, marked: np.ndarray) -> np.ndarra
     record = casid.Record(columns, units, TS, missing={"position": gone})
     (e,) = with_gaps_treated(model, [casid.Experiment(record)])
     e = dataclasses.replace(e, record=e.record.mark_missing("position", marked))
-    return _measured(signals_of(model, e), e, ["position"])[:, 0]
+    return measured_readings(signals_of(model, e), e, ["position"])[:, 0]
 
 
 def test_a_reading_that_does_not_count_is_shown_and_a_gap_is_not():

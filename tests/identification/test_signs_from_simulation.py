@@ -12,8 +12,8 @@ from casid.estimation.simulation.fit import FitSettings
 from casid.identification.channel_signs import negated
 from casid.identification.signs_from_simulation import (
     WrongSign,
-    _most_excited,
     better_by_chance,
+    most_excited,
     wrong_sign,
 )
 from casid.model.effects.effect import KINDS
@@ -355,7 +355,7 @@ def test_the_liveliest_stretch_may_be_the_end_of_a_record():
     t = np.arange(2500) / 100.0
     quiet = np.where(t < 5.0, 0.0, np.sin(t)) * 1.0
     record = casid.Record({"y": quiet}, {"y": "rad"}, Ts=79.41 / 7941, name="end")
-    part = _most_excited(casid.Experiment(record), ("y",))
+    part = most_excited(casid.Experiment(record), ("y",))
     assert part.record.N == 2000
     assert part.record.t[-1] == pytest.approx(record.t[-1])
 

@@ -217,15 +217,16 @@ def test_every_kind_of_the_catalogue_has_a_name_in_words() -> None:
 
 def test_a_disturbance_that_depends_on_states_is_not_said_to_be_independent_of_them() -> None:
     """The two sentences that once stood beside each other: "no function explains it", p 1e-65."""
-    from casid.diagnosis.unexplained.description import _of_disturbance
+    from casid.diagnosis.unexplained.description import disturbance_sentences
     from tests.support.sample_parts import unexplained
 
     tests = unexplained(samples.view(N=400)).tests
     loose = replace(tests, verdict="a disturbance (random, uncorrelated with inputs and states)")
     assert (
-        "no function of states" in _of_disturbance("", replace(loose, p_dependence=0.5), LEVEL)[0]
+        "no function of states"
+        in disturbance_sentences("", replace(loose, p_dependence=0.5), LEVEL)[0]
     )
-    text = _of_disturbance("", replace(loose, p_dependence=1e-65), LEVEL)[0]
+    text = disturbance_sentences("", replace(loose, p_dependence=1e-65), LEVEL)[0]
     assert "no function of states, inputs or recorded channels explains it" not in text
     assert "p = 1e-65" in text
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from casid.fleets.findings import findings_of
-from casid.report.pages.fleet_page import _banner
+from casid.report.pages.fleet_page import fleet_banner
 from tests.fleets.test_findings import BIAS, OFFSET, outcome
 
 
@@ -33,7 +33,7 @@ def fleet(*shown: set[int], records: int = 8) -> SimpleNamespace:
     ],
 )
 def test_a_cause_of_the_last_record_is_not_said_to_have_gone(shown, word, look, said) -> None:
-    banner = _banner(fleet(*shown))
+    banner = fleet_banner(fleet(*shown))
     assert (banner.word, banner.look) == (word, look)
     assert said in banner.sentence
 
@@ -43,11 +43,11 @@ def test_a_cause_is_called_by_the_words_of_the_fleet() -> None:
     found = fleet({4, 5, 6, 7})
     found.laws = {OFFSET: "a constant voltage"}
     said = "the strongest is constant voltage in the torque balance of ship 0"
-    assert said in _banner(found).sentence
+    assert said in fleet_banner(found).sentence
 
 
 def test_two_causes_of_a_single_record_are_found_once() -> None:
     """The first fleet that a user makes: one record."""
     found = findings_of({"ship": [outcome(0, OFFSET, BIAS)]})
-    banner = _banner(SimpleNamespace(findings=found, assets=("ship",), laws={}))
+    banner = fleet_banner(SimpleNamespace(findings=found, assets=("ship",), laws={}))
     assert banner.sentence.startswith("2 causes appear in a single record")

@@ -53,7 +53,7 @@ def recommend(
     """
     table, base = found.search.first_table, found.baseline
     attempt = found.search.attempts.attempt
-    named = _seen(judged.causes)
+    named = possible_causes(judged.causes)
     absorbed = [e for _, e in absorbed_effects(table, problem.model)] if table else []
     planned = None
     if plan:
@@ -68,7 +68,7 @@ def recommend(
     elif planned is not None:
         text = planned.sentence
     elif judged.verdict == "adequate" and any(d.is_dominant for d in judged.disturbances):
-        text = _disturbance_advice(problem.model, judged.disturbances[0])
+        text = disturbance_advice(problem.model, judged.disturbances[0])
     else:
         decides = decisive(judged.fitted, judged.held_out)
         is_same = bool(decides.get("extended_rmse")) and not (
@@ -127,7 +127,7 @@ def by_others(undetectable: Sequence[Undetectable], causes: Sequence[Cause]) -> 
     return tuple(notes)
 
 
-def _seen(causes: Sequence[Cause]) -> set[tuple[str, str]]:
+def possible_causes(causes: Sequence[Cause]) -> set[tuple[str, str]]:
     """Kinds and places of what may be a cause: seen, if not in the model without the others."""
     rivals = {(a.kind, a.where) for c in causes for a in c.alternatives}
     return rivals | {(c.kind, c.where) for c in causes}
@@ -282,7 +282,7 @@ def _of_samples(why_undecided: str, doubts: Doubts) -> str:
     )
 
 
-def _disturbance_advice(model: Model, d: Disturbance) -> str:
+def disturbance_advice(model: Model, d: Disturbance) -> str:
     """What to do about a disturbance that makes most of the residual."""
     text = (
         f"Find what acts on {d.place} and record it, then diagnose again: it makes "

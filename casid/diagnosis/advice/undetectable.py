@@ -159,7 +159,7 @@ class _RankTests:
                 visible,
                 why=f"In this record the model's own parameters and initial state reproduce {share}"
                 + ("; a more informative record would show it." if found else "."),
-                remedy=_practical_remedy(effect, self.model, self.experiments),
+                remedy=practical_remedy(effect, self.model, self.experiments),
                 law=law_of(effect.kind, effect.description),
             )
         point = found.points[0]
@@ -271,7 +271,8 @@ def _structural_remedy(
     return f"Add a sensor that responds to it, or {own}."
 
 
-def _practical_remedy(effect: Effect, model: Model, experiments: Sequence[Experiment]) -> str:
+def practical_remedy(effect: Effect, model: Model, experiments: Sequence[Experiment]) -> str:
+    """How to make an effect detectable that these records do not show, or an empty text."""
     channel = effect.where.rpartition("~")[2]
     resting = [
         e.name

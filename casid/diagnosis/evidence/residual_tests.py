@@ -170,7 +170,7 @@ def residual_tests(
             correlated = Correlated(place, named[best.group], p, share)
     # Gaps would pass for a residual that is too small, in samples and frequencies.
     whitened = [at.noise.completed(white, k) for k, white in enumerate(whitened)]
-    bands, p_spectrum = _spectrum(criterion.outputs, whitened, [d.Ts for d in criterion.data])
+    bands, p_spectrum = spectral_bands(criterion.outputs, whitened, [d.Ts for d in criterion.data])
     is_coloured = of_any_spectrum and p_spectrum < alpha
     tested_in_time = _innovations(whitened) if is_coloured else whitened
     p_mean, p_power, p_amplitude = _changes(
@@ -241,7 +241,7 @@ def _share(regression: Regression, seed: int) -> float:
 # -- spectrum -------------------------------------------------------------------------------------
 
 
-def _spectrum(
+def spectral_bands(
     outputs: Sequence[str], whitened: Sequence[Array], sample_times: Sequence[float]
 ) -> tuple[list[Band], float]:
     """Bands of every output over all records, and the p-value of the whole."""
@@ -284,8 +284,8 @@ def _changes(whitened: Sequence[Array], simulated: Sequence[Array]) -> tuple[flo
     y = np.concatenate([one_sample_late(part) for part in simulated])
     ny = e.shape[1]
     square = np.sum(e**2, axis=1)
-    p_mean = min(1.0, ny * min(_bridge(e[:, i]) for i in range(ny)))
-    p_power = _bridge(square)
+    p_mean = min(1.0, ny * min(drift_p_value(e[:, i]) for i in range(ny)))
+    p_power = drift_p_value(square)
     amplitude = np.sum((y / np.maximum(y.std(axis=0), TINY)) ** 2, axis=1)
     # A sudden peak of the amplitude must not decide alone: ranks in place of values.
     rank = np.argsort(np.argsort(amplitude)) / len(amplitude) - 0.5
@@ -304,7 +304,7 @@ def _innovations(whitened: Sequence[Array]) -> list[Array]:
     return [np.hstack([m.whiten(e[:, [i]]) for i, m in enumerate(models)]) for e in whitened]
 
 
-def _bridge(values: Array) -> float:
+def drift_p_value(values: Array) -> float:
     """p-value of the largest cumulative sum of `values` less their mean."""
     centred = (values - values.mean())[:, None]
     long_run = float(long_run_covariance(centred, bartlett_lags(centred))[0, 0])

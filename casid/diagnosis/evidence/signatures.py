@@ -264,7 +264,7 @@ class Regression:
         per_sample = self._per_sample(each * left[:, None])
         lags = bartlett_lags(per_sample)
         covariance = long_run_covariance(per_sample, lags)
-        covariance += np.diag(_added_variance(each, np.diag(covariance), left))
+        covariance += np.diag(added_variance(each, np.diag(covariance), left))
         if given is not None:
             own = np.hstack([given[:, self.slices[i]] @ roots[i] for i in free])
             own = self._per_sample(own)
@@ -324,7 +324,7 @@ def _leave_one_out(e: Array, columns: Array, score: Array) -> Array:
     return np.asarray((e - columns @ score) / np.maximum(1.0 - leverage, SCORES.undetectable))
 
 
-def _added_variance(columns: Array, variances: Array, left: Array) -> Array:
+def added_variance(columns: Array, variances: Array, left: Array) -> Array:
     """What to add to the variances (K,) of the scores of columns (M, K) of unit length.
 
     A robust variance from few samples, such as the one that determines a step, may be small by

@@ -41,13 +41,13 @@ def with_far_dead_times(
     # What was tried is refitted before what a first order promises.
     most = max(s.unrobust for s in table.scores)
     for s in late:
-        best = attempts.attempt(name_of(s.effect), partial(_best_delay, at, heads, s.effect))
+        best = attempts.attempt(name_of(s.effect), partial(best_delay, at, heads, s.effect))
         if best:
             found[s.effect.key] = replace(s, step=best, unrobust=most)
     return replace(table, scores=tuple(found.get(s.effect.key, s) for s in table.scores))
 
 
-def _best_delay(at: Weighted, experiments: Sequence[Experiment], effect: Effect) -> float:
+def best_delay(at: Weighted, experiments: Sequence[Experiment], effect: Effect) -> float:
     """The delay [s] that leaves least; 0 where none leaves clearly less than none does.
 
     From the declared starts; where a model with causes in it diverges from them, from its fit.

@@ -137,7 +137,7 @@ class Search:
             for e in effects
             if not e.sets_in or not (e.where in own or is_known_event(at, e, known))
         ]
-        effects = [e for e in effects if not _smooths_a_switch(at, e)]
+        effects = [e for e in effects if not smooths_a_switch(at, e)]
         # A slope of a cause's own size would be a second effect in the place of a first one.
         effects = [e for e in effects if moved_parameter(e) not in own]
         judged = at.unbiased or at.fit
@@ -210,7 +210,7 @@ class Search:
             memory.references = loop_references(self.weighing.experiments, model, self.recorded)
         return {c: unit for c, unit in self.recorded.items() if c not in memory.references}
 
-    def misfit_passes_for_noise(self, at: Weighted) -> bool:
+    def gains_are_no_likelihoods(self, at: Weighted) -> bool:
         """True if gains under the noise of `at` are no likelihoods by which a law is rejected."""
         return at.noise_absorbs_misfit or self.weighing.takes_disturbances
 
@@ -231,7 +231,7 @@ class Search:
         with self.attempts.within(BUDGET.refits):
             if first:
                 found = [c for c in (refitting.again(at, f) for f in first) if c is not None]
-                found += self.refits_of(at, _likes_of(table, found))
+                found += self.refits_of(at, _alike_to_best(table, found))
             else:
                 found = self.refits(at, table, adopted)
             if not found:
@@ -307,7 +307,7 @@ def scores_to_refit(at: Weighted, table: ScoreTable) -> list[Score]:
     return [*short, *temporary_changes(at, table), *lags_beside(at, table, short)]
 
 
-def _likes_of(table: ScoreTable, found: Sequence[Candidate]) -> list[Score]:
+def _alike_to_best(table: ScoreTable, found: Sequence[Candidate]) -> list[Score]:
     """Lasting named effects that act in this record as the best candidate does.
 
     Beside a disturbance the score of one of them may hide: dry friction of what turns one way is a
@@ -386,7 +386,7 @@ def _solution(model: Model, effects: Sequence[Effect]) -> Explicit:
     return extend_all(model, [e for e in effects if e.test == "score"])[0].explicit()
 
 
-def _smooths_a_switch(at: Weighted, effect: Effect) -> bool:
+def smooths_a_switch(at: Weighted, effect: Effect) -> bool:
     """True of an effect that has an input of two or three levels vary smoothly between samples."""
     if effect.kind != "hold" or effect.shape != "bandlimited":
         return False

@@ -78,7 +78,7 @@ def adopt_causes(
     units = base_fit.criterion.weights
     under = at.noise if search.weighing.takes_disturbances else None
     errors = simulation_errors(base_fit if under is None else at.fit, split, units, under)
-    state = _Selection(search, split, once, units, at, errors, at, base_fit, errors, first)
+    state = Selection(search, split, once, units, at, errors, at, base_fit, errors, first)
     refine = Refinement(search, split, once, units, at, base_fit)
     with search.attempts.within(BUDGET.rounds):
         while len(state.adopted) < search.max_causes and not state.is_done and state.adopt_next():
@@ -118,7 +118,7 @@ def adopt_causes(
 
 
 @dataclass(slots=True)
-class _Selection:
+class Selection:
     """State of the forward selection: the model extended by the causes adopted so far."""
 
     search: Search
@@ -216,7 +216,7 @@ class _Selection:
         p_values = {c.effect.key: p_value(table, c, by_remainder=by_remainder) for c in found}
         significant = [c for c in found if p_values[c.effect.key] < search.alpha]
         causes = found
-        if search.misfit_passes_for_noise(at):
+        if search.gains_are_no_likelihoods(at):
             beside = search.weighing.takes_disturbances
             causes = without_imitations(found, significant, by_likelihood=beside)
 
@@ -279,7 +279,7 @@ class _Selection:
         if why:
             return why
         fit = fit or whole()
-        if why := _why_undetermined(self.fit, fit, best):
+        if why := why_undetermined(self.fit, fit, best):
             return why
         fit, at = weighed_whole(weighing, fit, self.settings)
         leaves_noise = leaves_noise or is_soft_stop(self.at, best)
@@ -344,7 +344,7 @@ class _Selection:
         at = search.attempts.attempt(what, lambda: search.under_disturbance(self.fit))
         return at is not None and not is_more_than_noise(at, search.with_disturbances())
 
-    def _with(self, first: Adopted) -> _Selection:
+    def _with(self, first: Adopted) -> Selection:
         """The selection as it would be with one more effect, whatever the errors say."""
         best = first.candidate
         fit = whole_fit(best.model, self.split, self.settings, self.units, best.fit.values)
@@ -442,7 +442,7 @@ def _may_act_together(first: Candidate, second: Candidate) -> bool:
     return not (is_imitator(first) or is_imitator(second))
 
 
-def _why_undetermined(before: Fit, after: Fit, c: Candidate) -> str:
+def why_undetermined(before: Fit, after: Fit, c: Candidate) -> str:
     """Why the size of an effect is unknown beside the parameters of the model, or an empty text.
 
     A model that determined all it had then got away from a minimum of its own by another scale.

@@ -260,14 +260,14 @@ def _sentences(
     """On what the remainder depends; where on nothing found, what it is like."""
     best = found[0]
     if not best.dependences:
-        return _of_disturbance(where, tests, alpha)
+        return disturbance_sentences(where, tests, alpha)
     what = (
         f"a missing term in the {best.place} balance"
         if best.is_balance
         else f"an error of {best.place}"
     )
     out = [
-        f"The remainder is {what} that {_on_what(best.dependences)}. "
+        f"The remainder is {what} that {dependence_text(best.dependences)}. "
         f"This explains {100 * best.explained:.0f} % of it."
     ]
     rivals = best.dependences[0].rivals
@@ -288,7 +288,7 @@ def _sentences(
     return out
 
 
-def _on_what(dependences: Sequence[Dependence]) -> str:
+def dependence_text(dependences: Sequence[Dependence]) -> str:
     """What depends on variables, is constant, or both."""
     on = "; and on ".join(d.words for d in dependences if d.variables)
     if not on:
@@ -298,7 +298,7 @@ def _on_what(dependences: Sequence[Dependence]) -> str:
     )
 
 
-def _of_disturbance(where: str, tests: ResidualTests, alpha: float) -> list[str]:
+def disturbance_sentences(where: str, tests: ResidualTests, alpha: float) -> list[str]:
     """Of what no function explains; a test may find that it depends on states all the same."""
     kind = "The remainder resembles a disturbance"
     if tests.verdict == IN_TIME:

@@ -112,7 +112,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     fitted, held = _errors(found, with_disturbances=is_disturbed)
     part = held if held.get("extended_rmse") else fitted
     # What is held out has another disturbance in it, but one that its past predicts.
-    is_random = is_disturbed and _predicts_held_out(found, remainder)
+    is_random = is_disturbed and predicts_held_out(found, remainder)
     causes = causes_of(found, extended or baseline, problem.columns())
     with_sign = partial(_with_the_sign, found)
     remaining = _remaining(
@@ -181,7 +181,7 @@ def _extended(problem: Problem, found: Findings, baseline: Estimate) -> Estimate
     return replace(extended, model=extended_model(found, extended.model, baseline.model))
 
 
-def _predicts_held_out(found: Findings, remainder: Remainder | None) -> bool:
+def predicts_held_out(found: Findings, remainder: Remainder | None) -> bool:
     """False where the held-out errors of a model under a disturbance exceed the fitted ones.
 
     A law that is valid in the fitted part alone leaves an error there that a small disturbance

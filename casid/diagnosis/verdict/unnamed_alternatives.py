@@ -67,7 +67,7 @@ def unnamed_alternatives(
     ----------
     start, at : the model as it is and with the causes, under the noise found there.
     """
-    if not adopted or search.misfit_passes_for_noise(start):
+    if not adopted or search.gains_are_no_likelihoods(start):
         return ()
     if adopted[0].candidate.effect.kind == "unknown":
         return ()

@@ -49,7 +49,9 @@ def likeliest(
     signals = completed(criterion, x, noise)
     if criterion.segments > 1 or signals is None:
         return x
-    search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}), signals)
+    search = DisturbanceLikelihood(
+        criterion, noise, with_rounding(criterion.data, known or {}), signals
+    )
     z = np.concatenate([x, search.start])
     return minimum(search.at, z, search.lower, search.upper)[0][: len(x)]
 
@@ -62,14 +64,16 @@ def errors(
 ) -> Array:
     """(n,) standard errors at a minimum of (1), from Fisher's information; as for `likeliest`."""
     signals = [None] * len(criterion.data)
-    search = _Likelihood(criterion, noise, with_rounding(criterion.data, known or {}), signals)
+    search = DisturbanceLikelihood(
+        criterion, noise, with_rounding(criterion.data, known or {}), signals
+    )
     information = search.at(np.concatenate([x, search.start])).information
     size = np.sqrt(np.maximum(np.diag(information), TINY))
     inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
     return np.asarray((np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size)[: len(x)])
 
 
-class _Likelihood(ModelSpectra):
+class DisturbanceLikelihood(ModelSpectra):
     """(1) over the variables of a criterion, log variances and log shapes of spectra."""
 
     def __init__(

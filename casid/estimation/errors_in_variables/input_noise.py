@@ -25,7 +25,7 @@ from casid.estimation.noise.missing_samples import unbroken
 from casid.estimation.noise.noise_floor import floor_error
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import noise_response
-from casid.estimation.noise.variances import Seen, estimate_noise, with_rounding
+from casid.estimation.noise.variances import ResidualWindows, estimate_noise, with_rounding
 from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -240,7 +240,7 @@ class _Residuals:
             residuals=self.residuals,
             responses=self.responses,
             has_disturbances=has_disturbances,
-            seen_through=Seen(self.windows, self.absorbed, floors or {}),
+            seen_through=ResidualWindows(self.windows, self.absorbed, floors or {}),
         )
         wider = (2 - self.share) / self.share  # for what is missing, and for what was drawn
         return replace(found, covariance={k: wider * v for k, v in found.covariance.items()})

@@ -27,8 +27,8 @@ from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """How residuals show the errors of which they are.
+class ResidualWindows:
+    """Which samples residuals have, what their fit absorbed, and what is known of inputs.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ def estimate_noise(
     merge: bool = True,
     responses: Sequence[Response] | None = None,
     has_disturbances: bool = True,
-    seen_through: Seen | None = None,
+    seen_through: ResidualWindows | None = None,
 ) -> NoiseModel:
     """Estimate the noise from the residuals at `x` by Fisher scoring of Whittle's likelihood.
 
@@ -86,7 +86,7 @@ def estimate_noise(
     sources = [group[0] for group in alike]
     given = given_variances(criterion.outputs, sources, known, stated)
     used = [d.used.copy() for d in criterion.data]
-    shown = seen_through or Seen(used)
+    shown = seen_through or ResidualWindows(used)
     spectra = spectra_of(residuals, responses, sources, ny, shown.windows, absorbed=shown.absorbed)
     require_finite("the residual's spectra", spectra.power, spectra.design)
     floors = {g[0]: shown.floors[n] for g in alike for n in g if n in shown.floors}

@@ -44,7 +44,7 @@ def fleet_report(fleet: Fleet) -> Document:
     return Document(
         fleet.problem,
         [
-            Section("", [_banner(fleet), *_summary(fleet)], is_open=True),
+            Section("", [fleet_banner(fleet), *_summary(fleet)], is_open=True),
             Section(
                 "Findings",
                 [
@@ -106,7 +106,7 @@ def _signs(cells: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(c.replace("+-", "\u00b1") for c in cells)
 
 
-def _banner(fleet: Fleet) -> Banner:
+def fleet_banner(fleet: Fleet) -> Banner:
     """Causes that last, else those of a last record alone, else those that have gone."""
     lasting = [f for f in fleet.findings if f.is_lasting and f.is_present]
     latest = [f for f in fleet.findings if not f.is_lasting and f.is_present]

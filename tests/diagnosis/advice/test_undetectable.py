@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.advice.recommendation import _seen, by_others
+from casid.diagnosis.advice.recommendation import by_others, possible_causes
 from casid.diagnosis.advice.undetectable import (
     Undetectable,
-    _practical_remedy,
     absorbed_effects,
+    practical_remedy,
     undetectable_effects,
 )
 from casid.diagnosis.evidence.score_tests import score_test
@@ -139,7 +139,7 @@ def test_a_channel_that_rests_hides_what_depends_on_it_in_this_record_alone(fitt
 def test_a_channel_of_one_sign_shows_no_rectification_until_it_passes_through_zero(fitted):
     """A wider band of excitation would not help."""
     model = fitted.criterion.model
-    remedy = _practical_remedy(rectified(model, "gyro"), model, fitted.criterion.experiments)
+    remedy = practical_remedy(rectified(model, "gyro"), model, fitted.criterion.experiments)
     assert remedy == "Record gyro while it passes through zero, where it can."
 
 
@@ -168,7 +168,7 @@ def test_what_may_be_the_cause_is_seen():
     """A lag that explains as well as a jump was called undetectable in the same report."""
     rival = Alternative("sensor_lag", "T", 0.4, "explains the misfit as well")
     cause = Cause("parameter_jump", "T_a", 0.01, (), (rival,))
-    assert _seen([cause]) == {("parameter_jump", "T_a"), ("sensor_lag", "T")}
+    assert possible_causes([cause]) == {("parameter_jump", "T_a"), ("sensor_lag", "T")}
 
 
 def test_an_undetectable_cause_is_called_by_the_law_of_its_balance():

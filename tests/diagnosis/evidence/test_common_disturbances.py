@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import casid
-from casid.diagnosis.advice.recommendation import _disturbance_advice
+from casid.diagnosis.advice.recommendation import disturbance_advice
 from casid.diagnosis.calibration.null_records import null_records
 from casid.diagnosis.evidence.disturbances import Disturbance, Ratio, disturbances_of, shown_source
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
@@ -83,7 +83,7 @@ def test_it_is_told_with_its_ratio_in_the_units_of_its_balances(found: Weighted)
     (source,) = found.full.spectra
     assert shown_source(found.model, found.full, source, 2.0) == (2.0, "W")
     # `identify` has no disturbance in two places, and none is advised.
-    advice = _disturbance_advice(found.model, d)
+    advice = disturbance_advice(found.model, d)
     assert "what acts on zone 1 and zone 2 and record it" in advice
     assert "--disturbance" not in advice
 

@@ -15,7 +15,7 @@ import pytest
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.residual_tests import DETERMINISTIC, NOISE, residual_tests
-from casid.diagnosis.evidence.signatures import _added_variance
+from casid.diagnosis.evidence.signatures import added_variance
 from casid.estimation.simulation.fit import fit_model
 
 LEVEL = 0.01
@@ -75,7 +75,7 @@ def test_as_few_samples_tell_of_a_function_its_variance_is_that_of_all():
     left[7] = 0.0
     columns = np.column_stack([np.eye(200)[7], np.sin(np.arange(200)) / 10.0])
     variances = np.sum((columns * left[:, None]) ** 2, axis=0)
-    step, wave = variances + _added_variance(columns, variances, left)
+    step, wave = variances + added_variance(columns, variances, left)
     assert step == pytest.approx(10 / 11, rel=0.01)
     assert wave == pytest.approx(1.0, rel=0.02)
 

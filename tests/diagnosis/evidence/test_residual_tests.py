@@ -15,9 +15,9 @@ from casid.diagnosis.evidence.residual_tests import (
     DISTURBANCE,
     NOISE,
     ResidualTests,
-    _bridge,
-    _spectrum,
+    drift_p_value,
     residual_tests,
+    spectral_bands,
 )
 from casid.estimation.simulation.fit import fit_model
 from tests.support.hidden_forces import fitted
@@ -95,7 +95,7 @@ def test_the_band_with_too_much_is_that_of_the_line():
     rng = np.random.default_rng(4)
     t = 0.01 * np.arange(4000)
     e = rng.standard_normal(4000) + np.sqrt(0.2) * np.sin(2 * np.pi * 3.0 * t)
-    bands, p = _spectrum(("y",), [e[:, None]], [0.01])
+    bands, p = spectral_bands(("y",), [e[:, None]], [0.01])
     loudest = min(bands, key=lambda b: b.p_value)
     assert loudest.low < 3.0 < loudest.high
     assert p < 1e-6
@@ -103,7 +103,7 @@ def test_the_band_with_too_much_is_that_of_the_line():
 
 def test_spectra_of_white_noise_reject_at_no_more_than_their_rate():
     p = [
-        _spectrum(("y",), [np.random.default_rng(s).standard_normal((1000, 1))], [0.01])[1]
+        spectral_bands(("y",), [np.random.default_rng(s).standard_normal((1000, 1))], [0.01])[1]
         for s in range(200)
     ]
     assert binom.ppf(0.0005, 200, 0.02) <= np.sum(np.array(p) < 0.05)
@@ -113,9 +113,9 @@ def test_spectra_of_white_noise_reject_at_no_more_than_their_rate():
 def test_power_that_doubles_halfway_is_seen_and_steady_power_is_not():
     rng = np.random.default_rng(5)
     e = rng.standard_normal(2000)
-    assert _bridge(e**2) > 0.01
+    assert drift_p_value(e**2) > 0.01
     e[1000:] *= np.sqrt(2.0)
-    assert _bridge(e**2) < 1e-6
+    assert drift_p_value(e**2) < 1e-6
 
 
 def test_a_slow_random_force_wanders_without_changing_in_time():

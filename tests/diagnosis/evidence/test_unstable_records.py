@@ -19,7 +19,7 @@ from casid.diagnosis.evidence.unstable_records import records_in_windows
 from casid.diagnosis.evidence.window_states import left_by_states, states_of_windows
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.estimation.feedback import slope
-from casid.estimation.holdout import _per_window, restarts, split_records
+from casid.estimation.holdout import error_per_window, restarts, split_records
 from casid.estimation.local_rank import rank_of
 from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -413,6 +413,6 @@ def test_errors_in_windows_are_as_large_as_the_noise_whatever_the_number_of_stat
                 model=SimpleNamespace(states=range(states)),
             )
         )
-        rms = float(np.sqrt(np.mean(_per_window(fit, left) ** 2)))
+        rms = float(np.sqrt(np.mean(error_per_window(fit, left) ** 2)))
         assert rms == pytest.approx(1.0, abs=4 / np.sqrt(2 * N))
         assert np.sqrt(np.mean(left**2)) < 1 - 0.7 * states / (2 * window)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.search.dead_times import _best_delay
+from casid.diagnosis.search.dead_times import best_delay
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.channel_effects import dead_time
 
@@ -31,6 +31,6 @@ def test_delays_are_tried_from_the_fit_where_the_declared_starts_diverge():
     fit = SimpleNamespace(values={"tau": 8.0, "c": 0.0, "x(0)": 0.0})
     at: Any = SimpleNamespace(model=m, criterion=SimulationError(m, [experiment]), fit=fit)
     effect = dead_time(m, "u", 20.0)
-    assert _best_delay(at, [experiment], effect) == pytest.approx(6.0, abs=0.5)
+    assert best_delay(at, [experiment], effect) == pytest.approx(6.0, abs=0.5)
     fit.values["c"] = -1.0  # from nowhere
-    assert _best_delay(at, [experiment], effect) == 0.0
+    assert best_delay(at, [experiment], effect) == 0.0

@@ -10,7 +10,7 @@ import pytest
 import casid
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.search import selection
-from casid.diagnosis.search.selection import _Selection, _why_undetermined
+from casid.diagnosis.search.selection import Selection, why_undetermined
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import cubic_stiffness
 from casid.model.effects.channel_effects import sensor_scale
@@ -55,8 +55,8 @@ def test_a_gain_of_the_only_sensor_is_another_mass_damper_and_spring(effect, say
     once = casid.FitSettings(starts=1)
     data = [casid.Experiment(record, {}, "r")]
     fits = [fit_model(m, data, once, check_rank=False, throw=False) for m in (mass(), model)]
-    assert says in _why_undetermined(*fits, SimpleNamespace(names=names))
-    assert bool(says) == bool(_why_undetermined(*fits, SimpleNamespace(names=names)))
+    assert says in why_undetermined(*fits, SimpleNamespace(names=names))
+    assert bool(says) == bool(why_undetermined(*fits, SimpleNamespace(names=names)))
 
 
 def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
@@ -74,7 +74,7 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
     )
     search = SimpleNamespace(attempts=Attempts(), progress=lambda _: None)
     at = SimpleNamespace(noise_absorbs_misfit=False)
-    state = _Selection(search, None, None, None, at, None, at, None, None, adopted=[taken])
+    state = Selection(search, None, None, None, at, None, at, None, None, adopted=[taken])
     state.exchange_last()
     assert state.adopted == [taken]
     (note,) = search.attempts.notes()
@@ -117,10 +117,10 @@ def test_a_drift_takes_the_place_of_a_law_that_predicts_worse_where_it_leaves_no
         self.adopted += news
         return ""
 
-    monkeypatch.setattr(_Selection, "_significant", significant)
-    monkeypatch.setattr(_Selection, "_extend", extend)
+    monkeypatch.setattr(Selection, "_significant", significant)
+    monkeypatch.setattr(Selection, "_extend", extend)
     search = SimpleNamespace(attempts=Attempts(), refused=[])
     at = SimpleNamespace(noise_absorbs_misfit=True)
-    state = _Selection(search, None, None, None, at, None, at, None, None)
+    state = Selection(search, None, None, None, at, None, at, None, None)
     assert state.adopt_next()
     assert [a.candidate.effect.kind for a in state.adopted] == [adopted]

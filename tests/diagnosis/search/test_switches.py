@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.search.rounds import _smooths_a_switch
+from casid.diagnosis.search.rounds import smooths_a_switch
 from casid.model.effects.channel_effects import hold
 
 
@@ -29,4 +29,4 @@ def test_an_input_of_few_levels_is_not_sought_to_be_smooth(toward, levels, is_le
     column = np.random.default_rng(1).integers(0, levels, 300) / (levels - 1)
     data = [SimpleNamespace(u=column[:, None])]
     at = SimpleNamespace(model=m, criterion=SimpleNamespace(data=data))
-    assert _smooths_a_switch(at, hold(m, "active", toward)) is is_left_out
+    assert smooths_a_switch(at, hold(m, "active", toward)) is is_left_out

@@ -12,7 +12,7 @@ import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.unexplained.description import (
     Unexplained,
-    _on_what,
+    dependence_text,
     going_with,
     unexplained,
 )
@@ -64,7 +64,7 @@ def test_a_missing_constant_depends_on_nothing(variables: list, words: str) -> N
         Dependence(v, 1.0, 0.0, 9.0, "odd" if v else "", None, 1.0, "", (), *[unused] * 3)
         for v in variables
     ]
-    assert _on_what(terms) == words
+    assert dependence_text(terms) == words
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.verdict.judgement import _predicts_held_out
+from casid.diagnosis.verdict.judgement import predicts_held_out
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
@@ -50,7 +50,7 @@ def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(changed: float, 
     search = Search(weighing, {})
     baseline = SimpleNamespace(split=split)
     found: Any = SimpleNamespace(adopted=(object(),), at=at, baseline=baseline, search=search)
-    assert _predicts_held_out(found, None) is is_predicted
+    assert predicts_held_out(found, None) is is_predicted
     # Without causes there is a verdict of its own for it.
     found.adopted = ()
-    assert _predicts_held_out(found, None)
+    assert predicts_held_out(found, None)

@@ -11,7 +11,11 @@ from scipy.signal import lfilter, lsim
 import casid
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood, use_samples_of
-from casid.estimation.disturbances.disturbance_likelihood import _Likelihood, errors, likeliest
+from casid.estimation.disturbances.disturbance_likelihood import (
+    DisturbanceLikelihood,
+    errors,
+    likeliest,
+)
 from casid.estimation.noise.whittle_scoring import LONGEST, At, step
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
@@ -64,7 +68,7 @@ def weighed(seed: int, height: float):
 def test_the_gradient_is_that_of_the_likelihood() -> None:
     """Central differences, in units of the root of the information: to 1e-3 of one."""
     _, _, fit, at = weighed(1, 3e-3)
-    search = _Likelihood(fit.criterion, at.full, {}, [None])
+    search = DisturbanceLikelihood(fit.criterion, at.full, {}, [None])
     z = np.concatenate([fit.x, search.start])
     z[fit.criterion.names.index("B")] = 0.08
     here = search.at(z)
@@ -81,7 +85,7 @@ def test_the_gradient_is_that_of_the_likelihood() -> None:
 def test_a_point_at_which_the_spectrum_is_singular_is_no_point_of_it() -> None:
     """The search takes a shorter step from it, as from where the simulation diverges."""
     _, _, fit, at = weighed(1, 3e-3)
-    search = _Likelihood(fit.criterion, at.full, {}, [None])
+    search = DisturbanceLikelihood(fit.criterion, at.full, {}, [None])
     z = np.concatenate([fit.x, search.start])
     assert np.isfinite(search.at(z).value)
     z[len(fit.x) :] = -1e4  # logarithms of variances that are zero then
@@ -91,10 +95,10 @@ def test_a_point_at_which_the_spectrum_is_singular_is_no_point_of_it() -> None:
 def test_a_point_beside_which_the_responses_overflow_is_no_point_of_it(monkeypatch) -> None:
     """Its slopes are no numbers, and no step leads on from there: the start is kept."""
     _, _, fit, at = weighed(2, 2e-3)
-    search = _Likelihood(fit.criterion, at.full, {}, [None])
+    search = DisturbanceLikelihood(fit.criterion, at.full, {}, [None])
     z = np.concatenate([fit.x, search.start])
     assert np.isfinite(search.at(z).value)
-    own = _Likelihood._response
+    own = DisturbanceLikelihood._response
 
     def overflows(self, x, e, omega, *, is_beside=False):
         found = own(self, x, e, omega)
@@ -102,7 +106,7 @@ def test_a_point_beside_which_the_responses_overflow_is_no_point_of_it(monkeypat
         gain = np.full_like(found.gain, np.nan if is_beside else 1.0)
         return dataclasses.replace(found, gain=gain)
 
-    monkeypatch.setattr(_Likelihood, "_response", overflows)
+    monkeypatch.setattr(DisturbanceLikelihood, "_response", overflows)
     assert search.at(z).value == np.inf
     assert np.array_equal(likeliest(fit.criterion, fit.x, at.full), fit.x)
 
@@ -113,7 +117,7 @@ def test_a_variance_of_next_to_nothing_holds_nothing_else_back() -> None:
     The others, here of information 1 each, go where they are likeliest by themselves.
     """
     _, _, fit, at = weighed(1, 3e-3)
-    search = _Likelihood(fit.criterion, at.full, {}, [None])
+    search = DisturbanceLikelihood(fit.criterion, at.full, {}, [None])
     z = np.concatenate([fit.x, search.start])
     wanted = np.full(len(z), 1e-4)
     wanted[len(fit.x)] = 1e5 * LONGEST

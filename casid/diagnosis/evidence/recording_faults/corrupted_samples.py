@@ -191,17 +191,17 @@ def confirmed(
     for e, mask in enumerate(spikes.masks):
         residual = np.where(at.used[e], at.measured[e], np.nan) - at.simulated[e]
         residual[mask] = spikes.measured[e] - at.simulated[e][mask]
-        height = _above_neighbours(residual, mask)
+        height = above_neighbours(residual, mask)
         noise = spread_of_differences(residual[np.isfinite(residual)])
         kept = (height > OUTLIERS.left * spikes.heights[e]) & (height > spikes.limit * noise)
-        at_onset = _at_onsets(at.times[e], onsets if e < len(split.whole) else ())
+        at_onset = at_onsets(at.times[e], onsets if e < len(split.whole) else ())
         kept &= ~at_onset[mask]
         left.append(kept)
         residual[mask] = np.where(kept, residual[mask], np.nan)
         residual[at_onset] = np.nan
         residuals.append(residual[np.isfinite(residual)])
     count = int(sum(kept.sum() for kept in left))
-    if not count or (count < spikes.count and _is_tail(spikes, residuals)):
+    if not count or (count < spikes.count and is_tail(spikes, residuals)):
         return None
     masks = [mask.copy() for mask in spikes.masks]
     for mask, kept in zip(masks, left, strict=True):
@@ -220,12 +220,12 @@ def confirmed(
     )
 
 
-def _is_tail(spikes: Spikes, residuals: Sequence[Array]) -> bool:
+def is_tail(spikes: Spikes, residuals: Sequence[Array]) -> bool:
     """True if residuals of another model have no spikes at the level at which these were found."""
     return find_spikes(spikes.channel, residuals, spikes.level) is None
 
 
-def _at_onsets(times: Array, onsets: Sequence[float]) -> Array:
+def at_onsets(times: Array, onsets: Sequence[float]) -> Array:
     """Samples (N,) that are a sample or less from an onset."""
     near = np.zeros(len(times), dtype=bool)
     for onset in onsets:
@@ -233,7 +233,7 @@ def _at_onsets(times: Array, onsets: Sequence[float]) -> Array:
     return near
 
 
-def _above_neighbours(residual: Array, mask: Array) -> Array:
+def above_neighbours(residual: Array, mask: Array) -> Array:
     """How far samples (M,) lie from the mean of their neighbours, of those that there are."""
     wide = np.concatenate([[np.nan], residual, [np.nan]])
     k = np.flatnonzero(mask)
@@ -256,7 +256,7 @@ def _channel(fit: Fit, split: Split, i: int) -> _Simulated:
     model = fit.criterion.model
     entries = model.inputs.values()
     recorded = [k for k, entry in enumerate(entries) if entry.kind != "generated"]
-    later = _act_later(model, fit.criterion.outputs[i])[recorded]
+    later = act_a_sample_later(model, fit.criterion.outputs[i])[recorded]
     return _Simulated(
         [d.y[:, i] for d, _, _ in runs],
         [y[:, i] for _, y, _ in runs],
@@ -283,7 +283,7 @@ def _behind_gaps(d: Signals) -> Array:
     return near
 
 
-def _act_later(model: Model, channel: str) -> Array:
+def act_a_sample_later(model: Model, channel: str) -> Array:
     """Which inputs (nu,) no sample of a channel shows that was taken as they stepped.
 
     A held input acts from its sample on: an output that it moves through states alone shows a step

@@ -75,7 +75,7 @@ def find_spikes(
     Returns None where there are none, or so many that they are not exceptions.
     """
     total = sum(len(r) for r in residuals)
-    differences = [_from_neighbours(r) for r in residuals]
+    differences = [from_neighbours(r) for r in residuals]
     for d, starts in zip(differences, anew, strict=False):
         d[starts], d[starts - 1] = 0.0, 0.0
     long = [d for d in differences if len(d) >= OUTLIERS.shortest]
@@ -92,7 +92,7 @@ def find_spikes(
         1.0,
     )
     together = np.concatenate([d[1:-1] / s for d, s in zip(differences, sds, strict=True) if s > 0])
-    fourth = _fourth_moment(together)
+    fourth = fourth_moment_p_value(together)
     if _is_white(differences) and float(norm.sf(fourth)) < alpha:
         cut = _mixture_cut(together, largest_share)
         if cut is not None:
@@ -109,7 +109,7 @@ def find_spikes(
     for mask, response in zip(masks, _responses(masks, inputs, alpha), strict=False):
         mask &= ~response
     for mask, d, y in zip(masks, differences, simulated, strict=False):
-        mask &= ~_is_of_model(d, _from_neighbours(y), threshold)
+        mask &= ~_is_of_model(d, from_neighbours(y), threshold)
     heights = [np.abs(d[mask]) for d, mask in zip(differences, masks, strict=True)]
     count = int(sum(m.sum() for m in masks))
     if count == 0 or count > largest_share * total:
@@ -131,7 +131,7 @@ def find_spikes(
 
 def spread_of_differences(residual: Array) -> float:
     """Standard deviation of d of a residual, without the tails."""
-    return _scale(_from_neighbours(residual))
+    return _scale(from_neighbours(residual))
 
 
 def starts_apart(residual: Array, alpha: float) -> bool:
@@ -140,7 +140,7 @@ def starts_apart(residual: Array, alpha: float) -> bool:
     What an output owes to inputs at once, a model has from the first sample on; a system that was
     at rest before the record has it a little later.
     """
-    sd = _scale(_from_neighbours(residual))
+    sd = _scale(from_neighbours(residual))
     if sd <= 0.0:
         return False
     first, second = np.abs(np.diff(residual[:3]))
@@ -185,7 +185,7 @@ def _latest_steps(u: Array) -> Array:
     return latest
 
 
-def _from_neighbours(r: Array) -> Array:
+def from_neighbours(r: Array) -> Array:
     """d (N,) of a residual; zero at the ends and in records too short to judge."""
     d = np.zeros(len(r))
     if len(r) >= OUTLIERS.shortest:
@@ -232,7 +232,7 @@ def _scale(d: Array) -> float:
     return max(mad, spread, TINY)
 
 
-def _fourth_moment(h: Array) -> float:
+def fourth_moment_p_value(h: Array) -> float:
     """(2) of (1), the variance of the differences taken from themselves."""
     n = len(h) / (1 + 2 * (2 / 3) ** 4 + 2 * (1 / 6) ** 4)  # of independent ones, as uncertain
     kurtosis = float(np.mean(h**4) / max(float(np.mean(h**2)), TINY) ** 2)

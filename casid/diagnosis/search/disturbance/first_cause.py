@@ -23,7 +23,7 @@ from casid.estimation.simulation.minimization import Fit
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class EffectsBesideDisturbance:
     """The few effects that are seen beside a disturbance, as refitted there.
 
     Attributes
@@ -39,7 +39,7 @@ class Seen:
 
 def seen_beside_disturbance(
     search: Search, baseline: Baseline, settings: DiagnosisSettings
-) -> Seen | None:
+) -> EffectsBesideDisturbance | None:
     """What is seen beside a disturbance, if it is little and pays for itself there.
 
     None where the sensors' noise holds no misfit, where no disturbance is likelier than that noise,
@@ -59,7 +59,7 @@ def seen_beside_disturbance(
         return None
     units, values = base.criterion.weights, best.fit.values
     fit = whole_fit(best.model, baseline.split, settings.refit, units, values)
-    return Seen(bare, found, leaves_noise(search, fit, settings))
+    return EffectsBesideDisturbance(bare, found, leaves_noise(search, fit, settings))
 
 
 def leaves_noise(search: Search, fit: Fit, settings: DiagnosisSettings) -> bool:

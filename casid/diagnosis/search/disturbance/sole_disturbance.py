@@ -60,10 +60,10 @@ def sole_disturbance(
         return None
     alone = search.table(start, adopted)
     for effects, cost in (
-        (_best(start, alone), 1),
-        (_steps(start, alone), PARAMETER_JUMPS.cost),
-        (_over_again(start, alone), PARAMETER_JUMPS.cost_of_two),
-        (_lines(start, alone), PERIODIC_FORCES.cost),
+        (_best_scored(start, alone), 1),
+        (_lasting_change(start, alone), PARAMETER_JUMPS.cost),
+        (_ended_change(start, alone), PARAMETER_JUMPS.cost_of_two),
+        (_spectral_lines(start, alone), PERIODIC_FORCES.cost),
     ):
         if gains.one_pays(effects, cost, len(alone.tested), start.noise):
             return None
@@ -148,7 +148,7 @@ class _Gains:
 
     def best_pays(self, table: ScoreTable) -> bool:
         """True if one of those that score best there does."""
-        return self.one_pays(_best(self.bare, table), 1, len(table.tested), self.bare.noise)
+        return self.one_pays(_best_scored(self.bare, table), 1, len(table.tested), self.bare.noise)
 
     def one_pays(
         self, effects: Sequence[Effect], cost: int, tested: int, under: NoiseModel
@@ -170,7 +170,7 @@ class _Gains:
         return any(gain > needed for gain in gains)
 
 
-def _best(at: Weighted, table: ScoreTable) -> list[Effect]:
+def _best_scored(at: Weighted, table: ScoreTable) -> list[Effect]:
     """The effects that score best, and the changes that are over before the record is.
 
     Without lines: those are estimates, and have a price of their own.
@@ -196,7 +196,7 @@ def _explaining(at: Weighted, table: ScoreTable) -> list[Score]:
     return list(strongest_of_each(most).values())[: DISTURBED.looked_at]
 
 
-def _steps(at: Weighted, table: ScoreTable) -> list[Effect]:
+def _lasting_change(at: Weighted, table: ScoreTable) -> list[Effect]:
     """The most promising change that stays, at the instant of least misfit.
 
     On the grid of the scores it is late by up to half a step of the grid, in which a disturbance
@@ -207,7 +207,7 @@ def _steps(at: Weighted, table: ScoreTable) -> list[Effect]:
     return [] if best is None else [placed_by_tangents(at, best.effect)]
 
 
-def _over_again(at: Weighted, table: ScoreTable) -> list[Effect]:
+def _ended_change(at: Weighted, table: ScoreTable) -> list[Effect]:
     """The most promising change that is over before the record is, at the instants of least misfit.
 
     Scores of steps place it roughly, and there it gains nothing beside a disturbance, which
@@ -217,7 +217,7 @@ def _over_again(at: Weighted, table: ScoreTable) -> list[Effect]:
     return [placed_by_tangents(at, s.effect) for s in promising]
 
 
-def _lines(at: Weighted, table: ScoreTable) -> list[Effect]:
+def _spectral_lines(at: Weighted, table: ScoreTable) -> list[Effect]:
     """The lines that the sensors' noise does not explain, at the phases of their scores."""
     out = []
     for line in (s for s in table.peaks if s.effect.kind == "periodic_disturbance"):

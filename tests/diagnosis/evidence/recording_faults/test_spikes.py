@@ -17,16 +17,16 @@ from scipy.stats import norm
 import casid
 from casid.diagnosis.evidence import baseline
 from casid.diagnosis.evidence.recording_faults.corrupted_samples import (
-    _above_neighbours,
-    _act_later,
-    _at_onsets,
-    _is_tail,
+    above_neighbours,
+    act_a_sample_later,
+    at_onsets,
+    is_tail,
     without_corrupted,
 )
 from casid.diagnosis.evidence.recording_faults.spikes import (
-    _fourth_moment,
-    _from_neighbours,
     find_spikes,
+    fourth_moment_p_value,
+    from_neighbours,
     starts_apart,
 )
 from casid.diagnosis.settings import DiagnosisSettings
@@ -50,12 +50,12 @@ def spoilt(seed: int, *, size: float = 4.0, share: float = 0.01, N: int = 6000):
 
 def test_a_difference_from_the_neighbours_has_one_and_a_half_variances_and_no_smooth_part():
     N = 200_000
-    d = _from_neighbours(np.random.default_rng(1).standard_normal(N))[1:-1]
+    d = from_neighbours(np.random.default_rng(1).standard_normal(N))[1:-1]
     # Var of a sample variance of d: 2 (1.5)^2 (1 + 2 (4/9 + 1/36)) / N.
     assert d.var() == pytest.approx(1.5, abs=4 * 1.5 * np.sqrt(2 * 1.95 / N))
     rho = [np.mean(d[: N - 2 - m] * d[m : N - 2]) / d.var() for m in (1, 2)]
     assert rho == pytest.approx([-2 / 3, 1 / 6], abs=4 * 2 / np.sqrt(N))
-    line = _from_neighbours(3.0 + 0.2 * np.arange(100.0))
+    line = from_neighbours(3.0 + 0.2 * np.arange(100.0))
     assert line == pytest.approx(np.zeros(100), abs=1e-12)
 
 
@@ -63,7 +63,9 @@ def test_the_fourth_moment_of_normal_noise_is_standard_normal():
     """400 records: mean and variance within four of their standard errors, and the rate at 5 %."""
     z = np.array(
         [
-            _fourth_moment(_from_neighbours(np.random.default_rng(s).standard_normal(4000))[1:-1])
+            fourth_moment_p_value(
+                from_neighbours(np.random.default_rng(s).standard_normal(4000))[1:-1]
+            )
             for s in range(400)
         ]
     )
@@ -79,8 +81,8 @@ def test_a_short_record_has_large_fourth_moments_as_often_as_their_level_says():
     Normal by its variance alone, (1) has 40 of them.
     """
     rng = np.random.default_rng(0)
-    d = np.array([_from_neighbours(r)[1:-1] for r in rng.standard_normal((8000, 600))])
-    assert sum(_fourth_moment(each) > norm.isf(0.001) for each in d) < 24
+    d = np.array([from_neighbours(r)[1:-1] for r in rng.standard_normal((8000, 600))])
+    assert sum(fourth_moment_p_value(each) > norm.isf(0.001) for each in d) < 24
 
 
 def test_normal_noise_has_no_outliers_more_often_than_alpha():
@@ -98,7 +100,7 @@ def test_noise_that_is_not_normal_is_not_taken_for_a_few_errors():
         rng = np.random.default_rng(seed)
         changing = (1 + 0.5 * np.sin(k / 300)) * rng.standard_normal(6000)
         for r in (rng.laplace(size=6000), changing):
-            assert _fourth_moment(_from_neighbours(r)[1:-1]) > 5.0
+            assert fourth_moment_p_value(from_neighbours(r)[1:-1]) > 5.0
             found = find_spikes("y", [r], ALPHA)
             # Single samples may exceed the normal threshold; the many that are merely large may not
             # be left out.
@@ -114,7 +116,7 @@ def test_one_per_cent_of_errors_of_four_standard_deviations_is_found():
     found, hits, false = [], 0, 0
     for seed in range(20):
         r, at = spoilt(seed)
-        assert _fourth_moment(_from_neighbours(r)[1:-1]) > 7.0
+        assert fourth_moment_p_value(from_neighbours(r)[1:-1]) > 7.0
         spikes = find_spikes("y", [r], ALPHA)
         if spikes is None or spikes.p_value > 1e-6:
             continue  # single ones, or a mixture that cannot be told from a heavy tail
@@ -178,7 +180,7 @@ def test_an_outlier_beside_an_end_of_the_record_is_found(k):
 def test_a_quantised_record_is_not_free_of_noise():
     """Most differences are zero exactly: their median would make a spike of every step."""
     r = np.round(0.4 * np.random.default_rng(2).standard_normal(4000))
-    assert np.median(np.abs(_from_neighbours(r))) <= 0.5
+    assert np.median(np.abs(from_neighbours(r))) <= 0.5
     assert find_spikes("y", [r], ALPHA) is None
 
 
@@ -243,13 +245,13 @@ def test_a_spike_is_confirmed_by_what_stands_out_of_its_neighbours():
     """Slow misfit of the other sign may all but cancel the error itself; an end has one side."""
     residual = np.array([3.0, -1.0, 0.05, -1.0, -1.0, np.nan, 2.0])
     mask = np.array([True, False, True, False, False, False, True])
-    assert _above_neighbours(residual, mask) == pytest.approx([4.0, 1.05, 2.0])
+    assert above_neighbours(residual, mask) == pytest.approx([4.0, 1.05, 2.0])
 
 
 def test_samples_on_either_side_of_an_onset_are_beside_it():
     times = 100.0 + 2.0 * np.arange(6)
-    assert list(times[_at_onsets(times, [105.3, 110.0])]) == [104.0, 106.0, 108.0, 110.0]
-    assert not _at_onsets(times, []).any()
+    assert list(times[at_onsets(times, [105.3, 110.0])]) == [104.0, 106.0, 108.0, 110.0]
+    assert not at_onsets(times, []).any()
 
 
 def test_what_a_jump_explains_makes_no_spikes_of_the_tail_of_noise():
@@ -261,9 +263,9 @@ def test_what_a_jump_explains_makes_no_spikes_of_the_tail_of_noise():
     assert found is not None
     assert found.count > 2
     assert found.level == 0.01
-    assert _is_tail(found, [alone])
+    assert is_tail(found, [alone])
     alone[700] += 9.0
-    assert not _is_tail(found, [alone])
+    assert not is_tail(found, [alone])
 
 
 def furnace(hold: str, *, element: bool = True) -> casid.Model:
@@ -302,9 +304,9 @@ def test_spikes_to_which_a_controller_replies_are_outliers():
 
 
 def test_an_output_shows_a_held_input_at_once_only_where_it_is_part_of_it():
-    assert _act_later(furnace("zoh"), "T").tolist() == [True]
-    assert _act_later(furnace("zoh"), "element").tolist() == [False]
-    assert _act_later(furnace("foh"), "T").tolist() == [False]
+    assert act_a_sample_later(furnace("zoh"), "T").tolist() == [True]
+    assert act_a_sample_later(furnace("zoh"), "element").tolist() == [False]
+    assert act_a_sample_later(furnace("foh"), "T").tolist() == [False]
 
 
 @pytest.mark.parametrize(
