@@ -32,9 +32,9 @@ def held_beyond_chance(fit: Fit) -> tuple[str, ...]:
     c, x = fit.criterion, fit.x
     here = c.evaluate(x)
     curvature = np.diag(here.hessian)
-    room = BOUNDS.beside / np.sqrt(np.maximum(curvature, TINY))
-    low = (x - [v.lower for v in c.variables] < room) & (here.gradient > 0)
-    high = ([v.upper for v in c.variables] - x < room) & (here.gradient < 0)
+    margin = BOUNDS.beside / np.sqrt(np.maximum(curvature, TINY))
+    low = (x - [v.lower for v in c.variables] < margin) & (here.gradient > 0)
+    high = ([v.upper for v in c.variables] - x < margin) & (here.gradient < 0)
     free = ~(low | high)
     inner = here.hessian[np.ix_(free, free)]
     found = []

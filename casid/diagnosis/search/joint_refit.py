@@ -75,7 +75,7 @@ class Refitting:
             best = self._from_declared_starts(at, effect, starts or {}, step, best, below)
         if best is None:
             return None
-        best = self._with_more_room(at, best)
+        best = self._with_higher_bound(at, best)
         self.attempts.succeeded(name_of(effect))
         return best if _is_plausible(at, best) else None
 
@@ -104,11 +104,11 @@ class Refitting:
             best = _better(best, found)
         return best
 
-    def _with_more_room(self, at: Weighted, best: Candidate) -> Candidate:
-        """A delay or lag that ends at the end of what its start left it, with room from there.
+    def _with_higher_bound(self, at: Weighted, best: Candidate) -> Candidate:
+        """A delay or lag that ends at its upper bound, refitted from there under a higher one.
 
-        Room is left to fits of its model that come later, too: under other noise, and to whole
-        records, it may be longer.
+        Later fits of the same model, under other noise or to whole records, need that as well: the
+        delay may be longer there.
         """
         effect, name = best.effect, best.names[0]
         while effect.limit is not None:
@@ -116,7 +116,7 @@ class Refitting:
             if end >= effect.limit or reached < REFITS.inside * end:
                 break
             first = {**found_values(best), effect.parameters[0].name: reached}
-            upper = _room(at, effect, reached)
+            upper = _upper_bound(at, effect, reached)
             on = partial(self._from, at, effect, first, upper, best.fit.values)
             found = self.attempts.attempt(name_of(effect), on)
             if found is None or found.gain <= best.gain:
@@ -126,7 +126,7 @@ class Refitting:
             return best
         model = best.model.copy()
         p = model.parameters[name]
-        upper = max(p.upper, _room(at, effect, best.fit.values[name]))
+        upper = max(p.upper, _upper_bound(at, effect, best.fit.values[name]))
         model.parameters[name] = replace(p, upper=upper)
         return replace(best, model=model)
 
@@ -336,7 +336,7 @@ def _starts(
         factors = REFITS.factors if at.noise_absorbs_misfit or abs(step) > tick else (1.0,)
         factors = (1.0,) if near else factors
         grid = {min(max(k * abs(step), REFITS.least_delay * tick), effect.limit) for k in factors}
-        return [(g, _room(at, effect, g)) for g in sorted(grid)]
+        return [(g, _upper_bound(at, effect, g)) for g in sorted(grid)]
     if near:
         return [(effect.parameters[0].start + step, None)]
     if effect.test == "clip" and effect.variant is not None:
@@ -360,7 +360,7 @@ def _starts(
     return [(null + (step if effect.sided == "both" else max(step, 0.0)), None)]
 
 
-def _room(at: Weighted, effect: Effect, start: float) -> float:
+def _upper_bound(at: Weighted, effect: Effect, start: float) -> float:
     """The upper bound of a delay or lag that is searched from a start."""
     assert effect.limit is not None
     return min(REFITS.room * start + REFITS.room_samples * _tick(at, effect), effect.limit)
@@ -375,7 +375,7 @@ def _tick(at: Weighted, effect: Effect) -> float:
 def _keep_sign(model: Model, change: str, value: float, effect: Effect) -> None:
     """Bound a change so that the parameter keeps its sign and its order of magnitude.
 
-    A slope gets twice the room: the value, here that of the model without it, may yet grow. For a
+    A slope may move twice as far: the value, here that of the model without it, may yet grow. For a
     while it may be many times as large, as what a room loses by an open door.
     """
     if value == 0.0:

@@ -314,8 +314,8 @@ class Selection:
         the errors from where it helps to where the second is missing. A further store alone makes
         up for a dead time by its own time constant, and with it predicts what is slow the worse.
         """
-        room = self.search.max_causes - len(self.adopted)
-        if room < 2 or not self.at.noise_absorbs_misfit:
+        left = self.search.max_causes - len(self.adopted)
+        if left < 2 or not self.at.noise_absorbs_misfit:
             return False
         lasting = [a for a in refused if not is_imitator(a.candidate)]
         if lasting and not self._is_random():

@@ -157,8 +157,8 @@ def why_not_adopted(
         return "its simulation diverges on the fitted data"
     if new >= old:
         return "it does not lower the error of the fitted part"
-    room = ROUNDS.overfit * (old - new) / max(int(shared.sum()), 1)
-    return why_held_out(before, after, is_alarm=is_alarm, room=room)
+    tolerance = ROUNDS.overfit * (old - new) / max(int(shared.sum()), 1)
+    return why_held_out(before, after, is_alarm=is_alarm, tolerance=tolerance)
 
 
 def is_as_good_held_out(before: SimulationErrors, after: SimulationErrors) -> bool:
@@ -294,13 +294,13 @@ def why_held_out(
     after: SimulationErrors,
     *,
     is_alarm: bool = False,
-    room: float = 0.0,
+    tolerance: float = 0.0,
 ) -> str:
     """The same by what was held out alone.
 
     Parameters
     ----------
-    room : by which the square of a sample's error may rise and count as the same.
+    tolerance : by which the square of a sample's error may rise and count as the same.
     """
     ways = [
         (before.continued, after.continued, ""),
@@ -312,7 +312,7 @@ def why_held_out(
         first, last = float(np.nansum(old**2)), float(np.nansum(new**2))
         if not np.isfinite(last):
             return worse + how
-        if not 0.0 < last - first <= room * np.isfinite(old).sum():
+        if not 0.0 < last - first <= tolerance * np.isfinite(old).sum():
             factor *= last / max(first, TINY) if len(old) else 1.0
             grown = grown or (worse + how if worse else "")
     if grown and factor >= 1.0:

@@ -331,8 +331,8 @@ def _is_near_bound(fit: Fit, name: str) -> bool:
     """True if a bound of a parameter is within two standard errors of its estimate."""
     i = fit.criterion.names.index(name)
     v = fit.criterion.variables[i]
-    room = min(abs(fit.x[i] - v.lower), abs(v.upper - fit.x[i]))
-    return not room > 2 * std_error(fit, name)
+    distance = min(abs(fit.x[i] - v.lower), abs(v.upper - fit.x[i]))
+    return not distance > 2 * std_error(fit, name)
 
 
 def _errors(found: Findings, *, with_disturbances: bool) -> tuple[Errors, Errors]:

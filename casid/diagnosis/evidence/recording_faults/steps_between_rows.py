@@ -112,8 +112,8 @@ def _judged(
     errors = np.sqrt(np.maximum(np.diag(covariance), TINY))
     mean = float(np.sum(shares / errors**2) / np.sum(errors**-2.0))
     spread = float(np.sum(((shares - mean) / errors) ** 2))
-    room = STEPS_BETWEEN_ROWS.errors * errors
-    inside = (shares > -room) & (shares < 1.0 + room)
+    margin = STEPS_BETWEEN_ROWS.errors * errors
+    inside = (shares > -margin) & (shares < 1.0 + margin)
     if chi2.sf(spread, len(shares) - 1) >= alpha or inside.mean() < STEPS_BETWEEN_ROWS.inside:
         return None
     return StepsBetweenRows(name, shares, explained)

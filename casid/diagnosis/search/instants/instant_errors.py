@@ -162,7 +162,7 @@ class _Instant:
     cause: Adopted
     time: float
     sign: float
-    room: tuple[float, float]
+    between: tuple[float, float]
 
     def step(self, model: Model, later: float) -> Effect:
         """What sets in that much later [s], and stays."""
@@ -193,13 +193,13 @@ def _ends(effect: Effect) -> list[tuple[float, float]]:
 def _error(fit: Fit, at: _Linearised, i: int, instant: _Instant, memory: float) -> float:
     """Standard error of one instant by (2) [s]; `memory` is f."""
     local = float(at.white[i] * np.sqrt(memory))
-    room = max(abs(end - instant.time) for end in instant.room)
-    if local <= 0.0 or room <= 0.0:
+    farthest = max(abs(end - instant.time) for end in instant.between)
+    if local <= 0.0 or farthest <= 0.0:
         return local
     most = JUMPS.z**2 * at.mean_square * memory
-    away = np.geomspace(min(JUMPS.z * local, 0.01 * room), room, JUMPS.distances)
+    away = np.geomspace(min(JUMPS.z * local, 0.01 * farthest), farthest, JUMPS.distances)
     tried = np.concatenate([-away[::-1], [0.0], away])
-    moments, (first, last) = instant.time + tried, instant.room
+    moments, (first, last) = instant.time + tried, instant.between
     tried = tried[(first < moments) & (moments < last)]
     rises = _rises(fit, at, i, instant, tried)
     low, high = _bracketed(tried, rises, most)
