@@ -55,7 +55,7 @@ class RationalFunction:
         return top * pow(bottom, -1, p) % p
 
     def to_sympy(self) -> Any:
-        """The same in sympy symbols of the variables' names, factored if it is not too long."""
+        """The function in sympy symbols of the variables' names, factored if it is not too long."""
         return self._expression(self.numerator) / self._expression(self.denominator)
 
     def _expression(self, part: Mapping[Monomial, Fraction]) -> Any:

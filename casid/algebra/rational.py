@@ -128,7 +128,7 @@ class Rational:
         return tuple(sorted(found))
 
     def substitute(self, values: Mapping[str, Any]) -> Rational:
-        """The same function with parameters replaced by numbers; names it lacks are ignored."""
+        """The function with parameters replaced by numbers; names it lacks are ignored."""
         if not self.parameters:
             return self
         given = {n: coefficient(v) for n, v in values.items()}
@@ -184,7 +184,7 @@ class Rational:
     # -- other forms -------------------------------------------------------------------------
 
     def expression(self, symbol: Any = None) -> Any:
-        """As a sympy expression in `symbol` (default a symbol of the variable's name)."""
+        """The function as a sympy expression in `symbol` (default: named as the variable)."""
         import sympy
 
         x = sympy.Symbol(self.variable or "q") if symbol is None else symbol
@@ -195,7 +195,7 @@ class Rational:
         return sympy.sympify(above) / sympy.sympify(below)
 
     def to_control(self) -> Any:
-        """As a `control.TransferFunction`; parameters need values."""
+        """The function as a `control.TransferFunction`; parameters need values."""
         import control
 
         dt: Any = {"s": 0, "": None}.get(self.variable, self.Ts or True)

@@ -87,7 +87,7 @@ def float_points(
 
 
 def remove_zeros(expressions: Iterable[Expr], p: Expr) -> list[Expr]:
-    """The same scalar expressions, structural zeros where one vanishes for all parameters.
+    """The scalar expressions, with structural zeros where one vanishes for all parameters.
 
     A rational expression vanishes if at 4 random points it is zero or a rounding error of the
     model's constants, as in 0.1 * 3 * k - 0.3 * k: a value that changes by half when the constants

@@ -53,12 +53,12 @@ class Accuracy:
 
     @property
     def bias_std_error(self) -> float:
-        """Of the mean, and so of the bias: the spread over the root of the runs."""
+        """Standard error of the mean, and so of the bias: spread / sqrt(runs)."""
         return self.spread / math.sqrt(self.n) if self.n > 1 else math.nan
 
     @property
     def spread_std_error(self) -> float:
-        """Of the spread, were the estimates normal: spread / sqrt(2 (n - 1))."""
+        """Standard error of the spread of normal estimates: spread / sqrt(2 (n - 1))."""
         return self.spread / math.sqrt(2 * (self.n - 1)) if self.n > 1 else math.nan
 
     @property
@@ -124,7 +124,7 @@ class Accuracy:
         return tuple(out)
 
     def to_json(self) -> dict[str, Any]:
-        """As `montecarlo.json` has it."""
+        """The fields as `montecarlo.json` holds them."""
         return {
             **asdict(self),
             "bias": self.bias,
@@ -163,7 +163,7 @@ def accuracy_of(
     error: Array,
     ends: tuple[Array, ...] = (),
 ) -> Accuracy:
-    """Of estimates (n,) in `unit` and their standard errors (n,), NaN where there is none.
+    """Accuracy of estimates (n,) in `unit` with standard errors (n,), NaN where there is none.
 
     Parameters
     ----------

@@ -407,7 +407,7 @@ def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
 def _noise_and_band(
     record: Record, name: str, own: NDArray[np.intp]
 ) -> tuple[float | None, float | None, bool]:
-    """As `_spectrum`, of the samples `own`, which count at their own instants."""
+    """Noise and bandwidth as in `_spectrum`, from the samples `own` at their own instants."""
     mask = record.is_missing(name)
     kept = np.asarray(record.filled(name)[own], dtype=np.float64)
     shifted = kept - float(record[name][~mask].mean())

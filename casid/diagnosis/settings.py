@@ -47,7 +47,7 @@ class DiagnosisSettings:
 
     @property
     def refit(self) -> FitSettings:
-        """Of a simulation-error fit that starts next to its minimum: from there alone."""
+        """Settings of a fit that starts next to its minimum: from that start alone."""
         return replace(self.fit, starts=1, solver=self.fit.solver or EXACT)
 
     @property

@@ -50,7 +50,7 @@ class Estimated:
         return self.value - 1.96 * self.std_error, self.value + 1.96 * self.std_error
 
     def in_unit(self, unit: str) -> Estimated:
-        """The same in another unit of its dimension."""
+        """The parameter in another unit of its dimension."""
         if unit == self.unit:
             return self
         factor = parse_unit(self.unit).factor / parse_unit(unit).factor
@@ -70,7 +70,7 @@ class Estimated:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """As `estimate.json` has it."""
+        """The fields as `estimate.json` holds them."""
         interval = self.interval
         return {
             "value": self.value,
@@ -477,7 +477,7 @@ def measure_in(measure: Measure, before: Mapping[str, str], after: Mapping[str, 
 
 
 def _factor(before: Mapping[str, str], after: Mapping[str, str], name: str) -> float:
-    """Of a difference, between the units that two mappings have for a name; 1 without one."""
+    """Factor of a difference between the units that two mappings have for a name; 1 without one."""
     if before.get(name) == after.get(name):
         return 1.0
     return parse_unit(before[name]).factor / parse_unit(after[name]).factor

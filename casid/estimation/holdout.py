@@ -187,7 +187,7 @@ def window_length(fit: Fit) -> int:
 
 
 def restarts(fit: Fit, split: Split) -> list[Array]:
-    """Of every record, those apart last: the samples at which its simulation starts anew."""
+    """Samples at which the simulation of every record restarts; separate records come last."""
     criterion, window, out = fit.criterion, window_length(fit), []
     for e, held in enumerate(split.held):
         starts = criterion.starts_anew(e)
@@ -349,7 +349,7 @@ def why_no_better(before: Array, after: Array) -> str:
 
 
 def degrees_of_freedom(error: Array) -> float:
-    """Of a sum of squares of correlated errors (M, ny): two a line that their power is spread over.
+    """Degrees of freedom of a sum of squares of correlated errors (M, ny): two per spectral line.
 
     (sum P)^2 / sum P^2 lines P of the periodogram (Blackman and Tukey 1958, section 23); for white
     errors, by the scatter of P, half of what there are.

@@ -19,7 +19,7 @@ from casid.experiment_design.thresholds import KEEPING
 
 
 def based(prediction: Prediction) -> Prediction:
-    """The same, with an input that keeps all limits as its base where rest does not keep them.
+    """The prediction with an input that keeps all limits as its base, where rest does not.
 
     Raises
     ------

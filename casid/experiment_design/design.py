@@ -120,7 +120,7 @@ def _checked(
     o: DesignOptions,
     progress: Callable[[str], None],
 ) -> DesignedExperiment:
-    """The same with right answers counted in simulated records."""
+    """The design with right answers counted in simulated records."""
     how = Verification(o["verify"], o["verify_by"] == "diagnoses", o["seed"])
     checked = verified(found.aim, question, best, found.outcomes, how, progress)
     notes = [*contradictions(checked), *found.notes]
@@ -158,7 +158,7 @@ def _answer(
 
 
 def _again(before: _Answer, limits: Limits, aim: Aim, duration: float, o: DesignOptions) -> _Answer:
-    """The same at another duration, begun at what was found: intervals and causes as they were."""
+    """The design at another duration, started from the one found, with its intervals and causes."""
     old, nominal = before.search.setup, before.search.setup.nominal
     length = old.excitation.per * old.Ts
     options: dict[str, Any] = {**o, "Ts": old.Ts, "interval": min(length, duration)}

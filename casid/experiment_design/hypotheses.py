@@ -67,7 +67,7 @@ class Hypothesis:
         return [n for n, s in self.model.states.items() if s.initial is None]
 
     def at(self, values: Mapping[str, float], held: Sequence[str] = ()) -> Hypothesis:
-        """The same at other values of some parameters, some of them at a bound."""
+        """The hypothesis at other values of some parameters, some of them at a bound."""
         return replace(self, values={**self.values, **values}, held=tuple(held))
 
 

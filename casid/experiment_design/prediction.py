@@ -68,7 +68,7 @@ class Prediction:
 
     @property
     def sources(self) -> list[int]:
-        """Of every hypothesis the one whose motion its sensors show: the truth, or itself."""
+        """For every hypothesis, the one whose motion its sensors show: the truth, or itself."""
         out = list(range(len(self.hypotheses)))
         for c in self.comparisons:
             out[c.rival] = c.rival if c.truth is None else c.truth

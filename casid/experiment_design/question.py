@@ -66,7 +66,7 @@ class Question:
 
     @property
     def every_size(self) -> tuple[tuple[Mapping[str, float], ...], ...]:
-        """Of each cause all the sizes that it may have."""
+        """All the sizes that each cause may have."""
         return tuple((s, *more) for s, more in zip(self.sizes, self.others, strict=True))
 
     @property

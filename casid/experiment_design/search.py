@@ -315,7 +315,7 @@ def same(one: tuple[Array, Array], other: tuple[Array, Array]) -> bool:
 
 
 def replace_substeps(prediction: Prediction, at: tuple[Array, Array]) -> Prediction:
-    """As many Runge-Kutta steps a sample as the simulation needs."""
+    """The prediction with as many Runge-Kutta steps a sample as it needs."""
     before = [prediction.course(i, *at).y for i in range(len(prediction.hypotheses))]
     for substeps in (2, 4, 8, 16):
         finer = replace(prediction, substeps=substeps)

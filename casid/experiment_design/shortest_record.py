@@ -28,7 +28,7 @@ class HasBest(Protocol):
 
     @property
     def best(self) -> Found:
-        """Its input."""
+        """The best input found."""
         ...
 
 

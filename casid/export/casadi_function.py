@@ -47,7 +47,7 @@ def casadi_function(
 
 
 def function_of(plain: PlainModel, parameters: Sequence[str], *, name: str | None = None) -> Any:
-    """As `casadi_function`, of a plain model."""
+    """The `casadi_function` of a plain model."""
     unknown = [n for n in parameters if n not in plain.model.parameters]
     if unknown:
         raise ModelError(

@@ -114,7 +114,7 @@ class PlainModel:
         return sum(kept) + 1 if kept else 0
 
     def shares(self) -> list[float]:
-        """Of each input's rise within a sample, the part that it makes as a straight line.
+        """The share of each input's rise within a sample that follows a straight line.
 
         1 for an input joined by straight lines or band-limited, 0 for a held one.
         """

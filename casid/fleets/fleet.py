@@ -130,7 +130,7 @@ class Fleet(Presented):
 
     @property
     def discoveries_e(self) -> int:
-        """The same by e-BH, whatever the dependence of the records."""
+        """Discoveries by e-BH, valid for any dependence of the records."""
         return int(self.records["discovered_e"].sum())
 
     @property

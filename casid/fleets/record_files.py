@@ -41,7 +41,7 @@ class RecordFile:
 
     @property
     def place(self) -> PurePosixPath:
-        """Its path, without the protocol of an address and what it is inside."""
+        """Path of the file, without the protocol of an address and what it is inside."""
         return place_of(self.path)
 
 

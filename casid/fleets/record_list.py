@@ -50,7 +50,7 @@ class FleetRecord:
 
     @property
     def name(self) -> str:
-        """That of the file."""
+        """Name of the file."""
         return place_of(self.path).name
 
 

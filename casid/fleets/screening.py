@@ -265,7 +265,7 @@ class Screen:
         return min((peak.p_value for peak in peaks), default=1.0)
 
     def _columns(self, criterion: SimulationError, x: Array) -> Columns:
-        """Those of the whole catalogue at a fit of another record."""
+        """Signature columns of the whole catalogue at a fit of another record."""
         start = dict(zip(criterion.names, x.tolist(), strict=True))
         wide = self.columns.wide.of_records(
             criterion.experiments, weights=criterion.weights, whiten=criterion.whiten, start=start

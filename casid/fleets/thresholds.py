@@ -53,7 +53,7 @@ class Screening:
 
 @dataclass(frozen=True, slots=True)
 class Grouping:
-    """The same cause in several records of an asset as one finding."""
+    """When a cause in several records of an asset is one finding."""
 
     shown: float = _is(0.9, "probability that a record shows a cause that is there", _FINDINGS)
     by_chance: float = _is(

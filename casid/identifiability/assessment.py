@@ -233,7 +233,7 @@ class Assessment(Presented, Saved):
 
     @property
     def rank(self) -> int | None:
-        """Of the extended observability matrix of all experiments."""
+        """Rank of the extended observability matrix of all experiments."""
         return self.answer.rank
 
     @property
@@ -355,7 +355,7 @@ class Assessment(Presented, Saved):
         return present(self, "figures")
 
     def to_json(self) -> dict[str, Any]:
-        """As ``casid identifiability --json`` prints it."""
+        """The fields as ``casid identifiability --json`` prints them."""
         a, f = self.answer, self.fixing
         classes = {k: v.to_json() for k, v in self.by_class.items()}
         return {

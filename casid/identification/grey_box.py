@@ -268,7 +268,7 @@ def minimize_extended_prediction_error(
 
 
 def _finer(c: ExtendedPredictionError) -> ExtendedPredictionError:
-    """The same criterion with half the step."""
+    """The criterion with half the step."""
     return ExtendedPredictionError(
         c.model,
         c.experiments,

@@ -226,7 +226,7 @@ def _sized(
     once = replace(settings, starts=1, substeps=fit.criterion.substeps)
 
     def again(records: Split, near: Fit) -> Fit:
-        """As `weighted_by_errors`, with the errors that the sizes leave."""
+        """The fit by `weighted_by_errors`, with the errors that the sizes leave."""
         found = fit_model(
             problem.model,
             records.fitted,

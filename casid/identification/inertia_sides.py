@@ -93,7 +93,7 @@ def other_side(criterion: SimulationError) -> OtherSide | None:
 
 
 def _rising(sizes: Array, values: Array) -> tuple[Array, Array]:
-    """The same in the order in which the sizes rise."""
+    """Sizes and values in the order in which the sizes rise."""
     order = np.argsort(sizes)
     return sizes[order], values[order]
 

@@ -175,7 +175,7 @@ class Fitted(NamedTuple):
 
     @property
     def p_value(self) -> float:
-        """Of (1), chi^2 where the signs are right."""
+        """p-value of (1), which is chi^2 where the signs are right."""
         return float(chdtrc(max(self.degrees, 1), self.value))
 
 

@@ -88,7 +88,7 @@ def sized_noise_text(names: Sequence[str]) -> str:
 def _sizes_of(
     i: int, runs: Sequence[tuple[Signals, Array]], fitted: Sequence[Array]
 ) -> list[NoiseSizes] | None:
-    """Of output i in every record, or None where its noise is not seen to grow.
+    """Sizes of the noise of output i in every record; None where it does not grow.
 
     Parameters
     ----------

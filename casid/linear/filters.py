@@ -34,7 +34,7 @@ class Filter:
     lead: int = 0
 
     def __call__(self, z: Array) -> Array:
-        """Its values at the points z (M,), complex (M,)."""
+        """Values of the filter at the points z (M,), complex (M,)."""
         back = 1 / z
         above = np.polynomial.polynomial.polyval(back, self.b)
         if self.lead:

@@ -23,7 +23,7 @@ def recursion(F: Array, v: Array, x0: Array) -> Array:
 
 
 def recursion_time_last(F: Array, v: Array, x0: Array) -> Array:
-    """As `recursion` with time as the last axis: (nx, m, N + 1) for v (nx, m, N), x0 (nx, m)."""
+    """The `recursion` with time last: (nx, m, N + 1) for v (nx, m, N), x0 (nx, m)."""
     n, columns, N = v.shape
     if n == 0:
         return np.zeros((0, columns, N + 1))

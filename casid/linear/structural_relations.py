@@ -120,7 +120,7 @@ def hold_relations(
     method: str,
     discrete: DiscreteTransfer,
 ) -> tuple[Array, list[int]]:
-    """As `rational_relations` for the holds, whose coefficients are no rational functions.
+    """`rational_relations` for holds, whose coefficients are no rational functions.
 
     Relations with small fractions, as b_0 + b_1 + b_2 = 0, hold at every sample time: they are
     found in floating point at a sample time that suits the system's poles, and kept if they hold at

@@ -222,7 +222,7 @@ class Stage:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Its parameters, the share last."""
+        """Parameters of the blend, the share last."""
         return (self.parameter, self.share) if self.share else (self.parameter,)
 
     @property

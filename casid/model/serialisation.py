@@ -78,7 +78,7 @@ def _unpacked(value: Any, expressions: list[Any]) -> Any:
 
 
 def _walked(value: Any, of: Any) -> Any:
-    """The same container of what `of` makes of its parts; anything else as it is."""
+    """A container with `of` applied to its parts; anything else unchanged."""
     if isinstance(value, dict):
         return {key: of(part) for key, part in value.items()}
     if isinstance(value, list | tuple):

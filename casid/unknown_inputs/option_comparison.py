@@ -29,7 +29,7 @@ class OptionRow:
         return float("nan") if self.estimate is None else self.estimate[name]
 
     def std_error(self, name: str) -> float:
-        """Its standard error; NaN where there is none."""
+        """Standard error of the estimate; NaN where there is none."""
         found = None if self.estimate is None else self.estimate.parameter(name).std_error
         return float("nan") if found is None else found
 

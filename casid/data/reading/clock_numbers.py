@@ -105,7 +105,7 @@ def _is_clock(values: FloatArray, seconds: FloatArray) -> bool:
 
 
 def _over_days(seconds: FloatArray, said: str, days: FloatArray | None) -> Stamps:
-    """The same with the days added."""
+    """The stamps with the days added."""
     falls = np.diff(seconds) < 0
     passed = np.cumsum(np.concatenate(([False], falls))).astype(np.float64)
     if days is not None and days.size == seconds.size:

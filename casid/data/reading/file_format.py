@@ -46,7 +46,7 @@ class FileFormat:
     Ts: float | None = None
 
     def updated(self, other: FileFormat | None) -> FileFormat:
-        """The same with what `other` gives in its place."""
+        """The format with the fields that `other` sets."""
         return self if other is None else replace(self, **other.given)
 
     @property
@@ -57,7 +57,7 @@ class FileFormat:
 
     @property
     def code(self) -> str:
-        """As it is written in a problem file."""
+        """The format as Python code for a problem file."""
         return f"casid.FileFormat({', '.join(f'{n}={v!r}' for n, v in self.given.items())})"
 
     def __post_init__(self) -> None:

@@ -324,7 +324,7 @@ def of_times_of_day(
 
 
 def _past_midnight(seconds: FloatArray, said: str) -> Stamps:
-    """The same going on where the clock begins again at midnight."""
+    """The times continued over midnight, where the clock starts again."""
     steps = np.diff(seconds)
     median = float(np.median(steps)) if steps.size else 0.0
     over = (steps < 0) & (np.abs(steps + DAY - median) < max(0.5 * median, 1.0)) & (median > 0)

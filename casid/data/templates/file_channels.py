@@ -59,7 +59,7 @@ class FileChannel:
         return tuple(re.findall(r"[a-z]+", text.lower()))
 
     def in_unit(self, unit: str) -> FileChannel:
-        """The same with values that were written in this unit, as they look; empty: none."""
+        """The column with its values read in this unit; an empty one changes nothing."""
         if not unit:
             return self
         parsed = parse_unit(unit)
@@ -134,7 +134,7 @@ class FileChannels(NamedTuple):
         return f"{self.path}@{window_text(*self.window)}"
 
     def in_units(self, units: Mapping[str, str]) -> FileChannels:
-        """The same with columns, whose values are as in the file, in the units that they fit.
+        """The table with its columns in the units that their values fit.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class FileChannels(NamedTuple):
         )
 
     def without_copies(self, named: Collection[str]) -> FileChannels:
-        """The same without columns that are another one times a number, plus a number.
+        """The table without columns that are a linear function of another column.
 
         As further inputs they would have gains that nothing separates. A column that the user
         named stays, then one with a unit, then the first of the file.

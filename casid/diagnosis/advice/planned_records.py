@@ -96,7 +96,7 @@ class Planner:
     # -- kinds of experiments ----------------------------------------------------------------
 
     def again(self) -> Planned:
-        """The same once more: what the others are compared with."""
+        """The present record repeated: the one that all others are compared with."""
         initial = tuple(self.motion.initial(e) for e in range(len(self.experiments)))
         return Planned(
             "the same again",

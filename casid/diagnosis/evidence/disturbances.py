@@ -48,7 +48,7 @@ class Ratio:
 
     @property
     def text(self) -> str:
-        """As a sentence has it."""
+        """The ratio in words."""
         (value, error), unit = quantity_texts([self.value, self.std_error], self.unit)
         return f"{self.where} at a ratio of {f'{value} +- {error} {unit}'.rstrip()}"
 
@@ -132,7 +132,7 @@ class Disturbance:
         return self.peak + 0.5 * self.bandwidth
 
     def in_units(self, units: Mapping[str, str]) -> Disturbance:
-        """The same in the unit that `units` has for its balance.
+        """The disturbance in the unit that `units` has for its balance.
 
         A law of a state is a balance by the state's name: its unit is not that of the state.
         """
@@ -143,7 +143,7 @@ class Disturbance:
         return replace(self, std=std, unit=unit)
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` has it."""
+        """The fields as `diagnosis.json` holds them."""
         out = plain_fields(self, "sentence", leave_out=("also",))
         return out | {"also": [plain_fields(each) for each in self.also]}
 

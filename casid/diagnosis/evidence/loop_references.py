@@ -22,7 +22,7 @@ from casid.model.units import same_dimension
 def loop_references(
     experiments: Sequence[Experiment], model: Model, channels: Collection[str]
 ) -> tuple[str, ...]:
-    """Those of `channels` that are the reference of a loop around some output.
+    """The `channels` that are the reference of a control loop around some output.
 
     A reference has the output's dimension, and an input is a filtered function of both, of which
     the output alone explains much less. The output follows the reference, unless the input is that

@@ -66,7 +66,7 @@ class Weighted:
 
     @property
     def likelihoods(self) -> Weighted:
-        """The same under a noise that gives likelihoods, where one was sought: disturbances in it.
+        """The model under noise with disturbances, which gives likelihoods, where that was sought.
 
         Where it absorbs misfit, the noise of sensors and inputs alone gives none.
         """
@@ -93,7 +93,7 @@ class Weighing:
     takes_disturbances: bool = False
 
     def with_disturbances(self) -> Weighing:
-        """The same with whatever is not explained taken for disturbances."""
+        """The weighing that takes all unexplained misfit for disturbances."""
         return replace(self, takes_disturbances=True)
 
     def weigh(self, model: Model, fit: Fit, *, rounds: int = PREWHITENING.rounds) -> Weighted:
@@ -181,7 +181,7 @@ class Weighing:
         return min(bare, found, key=minus_log_likelihood)
 
     def _with_floors(self, found: Weighted) -> Weighing:
-        """The same with the noise of inputs known where their own spectra say more than a residual.
+        """The weighing with input noise from the inputs' own spectra where these are more exact.
 
         A slow system shows the noise of its inputs in few lines of the residual, and a fit absorbs
         most of those; an input that an output feels at once is as white there as the output's own
@@ -232,7 +232,7 @@ class Weighing:
                 yield self.estimated(moved(found.fit, c, with_states_anew(c, declared)))
 
     def _shapes(self, found: Weighted) -> Iterator[Weighted]:
-        """The same, and with forces of first order alone where one of them is not."""
+        """The noise, also with first-order forces alone where one is of another order."""
         yield found
         if any(s.damping is not None for s in found.full.spectra.values()):
             yield self.estimated(found.fit, is_simple=True)
@@ -252,7 +252,7 @@ class Weighing:
         return best
 
     def _whitened(self, model: Model, at: Weighted) -> Weighted:
-        """The same under its own noise; initial states, which a taper hides, are found anew."""
+        """The model whitened by its own noise, with initial states estimated again."""
         criterion = self.criterion(model, at.full, at.fit.values, at.criterion)
         use_samples_of(criterion, at.criterion)
         x = with_states_anew(criterion, at.fit.x)
@@ -437,7 +437,7 @@ def minus_log_likelihood(at: Weighted, counted: SimulationError | None = None) -
 
 
 def _at_point(at: Weighted, counted: SimulationError | None = None) -> float:
-    """The same at the very fit."""
+    """The weighted model at the parameters of the fit."""
     noise, value, data = at.noise, at.fit.solution.value, at.criterion.data
     if counted is not None:
         left_out = [its.used & ~d.used for its, d in zip(counted.data, data, strict=True)]

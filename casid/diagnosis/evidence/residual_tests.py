@@ -87,7 +87,7 @@ class ResidualTests:
     """As `blocks`, of the innovations where they are tested in time; none in older files."""
 
     def at_level(self, alpha: float) -> ResidualTests:
-        """The same numbers judged at another rate."""
+        """The tests judged at another false-alarm rate."""
         share = self.correlated.share if self.correlated is not None else 0.0
         ps = (self.p_spectrum, self.p_dependence, self.p_time)
         return replace(self, verdict=_verdict(*ps, share, alpha))
@@ -98,7 +98,7 @@ class ResidualTests:
         return min(self.bands, key=lambda b: b.p_value)
 
     def to_json(self) -> dict[str, Any]:
-        """As a report has it."""
+        """The fields as a report holds them."""
         c = self.correlated
         return {
             "verdict": self.verdict,

@@ -91,7 +91,7 @@ class ScoreTable:
         return min((s.adjusted for s in self.tested if s.effect.key == key), default=1.0)
 
     def with_peaks(self, peaks: Sequence[Score]) -> ScoreTable:
-        """The same with lines of the spectrum, whose own p is over all frequencies.
+        """The table with spectral lines added, whose p-values are over all frequencies.
 
         Scores and peaks are two families that hardly know of each other: the smallest p of both
         together is as small as p with probability 1 - (1 - F(p)) (1 - p).

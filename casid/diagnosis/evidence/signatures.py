@@ -188,7 +188,7 @@ class Regression:
         return float(np.sqrt(2.0 * len(self.e)))
 
     def explained_and_energy(self) -> tuple[Array, Array]:
-        """Of each group, what it explains and its signatures' energy, both off the tangent, (G,).
+        """(G,) what each group explains, and the energy of its signatures, both off the tangent.
 
         The first is a sum of squares less the baseline's part, for what the noise leaves of each.
         """
@@ -198,7 +198,7 @@ class Regression:
         return np.array(gains), np.array([float(own[j].sum()) for j in self.slices])
 
     def _roots(self, rest: Array) -> Iterator[tuple[slice, Array]]:
-        """Of each group, the directions that the record sees, of unit length."""
+        """For each group, the directions that the record excites, of unit length."""
         for j in self.slices:
             values, vectors = np.linalg.eigh(rest[:, j].T @ rest[:, j])
             keep = values > max(SCORES.undetectable, SCORES.relative_rank * values.max(initial=0.0))

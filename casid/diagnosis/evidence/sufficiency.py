@@ -279,7 +279,7 @@ def few_step_fit(model: Model, experiments: Sequence[Experiment]) -> Fit:
 
 
 def weighted_as_white(fit: Fit) -> Weighted:
-    """The same as a `Weighted`, its residual taken for white noise."""
+    """The fit as a `Weighted`, with its residual taken for white noise."""
     c = fit.criterion
     parts = [np.where(d.used, c.simulated(fit.x, e).residual, np.nan) for e, d in enumerate(c.data)]
     sd = np.nan_to_num(rms(np.concatenate(parts)), nan=0.0, posinf=0.0)

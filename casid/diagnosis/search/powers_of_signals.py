@@ -56,7 +56,7 @@ def with_better_powers(refine: Refinement, found: Adoption) -> Adoption:
 
 
 def _other_powers(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple[Effect, float]]:
-    """The same change by other laws, and the sizes at which it is as large over the motion."""
+    """The change by other laws, each with the size that makes it as large over the motion."""
     assert found.fit is not None
     own = found.adopted[i].candidate
     name, state = own.effect.where.split("~")

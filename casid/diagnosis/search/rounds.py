@@ -363,7 +363,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
 
 
 def strongest_of_each(scores: Sequence[Score]) -> dict[tuple[str, str], Score]:
-    """Of every kind and place the variant that scores highest, the strongest first."""
+    """The variant that scores highest of every kind and place, the strongest first."""
     found: dict[tuple[str, str], Score] = {}
     for s in sorted(scores, key=lambda s: -s.unrobust):
         found.setdefault(s.effect.key, s)
@@ -373,7 +373,7 @@ def strongest_of_each(scores: Sequence[Score]) -> dict[tuple[str, str], Score]:
 def _other_falls(
     visible: Sequence[Score], chosen: Mapping[tuple[str, str], Score]
 ) -> Iterator[Score]:
-    """Those of chosen parameters with a state to another power: far away, refits alone compare."""
+    """Changes of chosen parameters with another power of a state, which only refits compare."""
     for s in visible:
         first = chosen.get(s.effect.key)
         if s.effect.kind == "scheduled_parameter" and first is not None:

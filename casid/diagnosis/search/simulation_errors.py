@@ -58,7 +58,7 @@ class SimulationErrors:
 
 
 def on_common_samples(*errors: SimulationErrors) -> list[SimulationErrors]:
-    """The same of several models, of those samples alone that all of them count.
+    """Errors of several models on the samples that all of them count.
 
     A late channel counts fewer than another, which would flatter it.
     """
@@ -296,7 +296,7 @@ def why_held_out(
     is_alarm: bool = False,
     tolerance: float = 0.0,
 ) -> str:
-    """The same by what was held out alone.
+    """Why an extension is refused by its held-out error alone; an empty text where it is not.
 
     Parameters
     ----------

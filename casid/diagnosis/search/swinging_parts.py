@@ -25,7 +25,7 @@ def may_move(found: Candidate) -> bool:
 
 
 def in_motion(model: Model, found: Candidate) -> Effect:
-    """The same part, its motion when a record begins free, from the frequency that was found."""
+    """The part with a free initial motion, starting from the frequency that was found."""
     omega = found.fit.values[found.names[1]]
     return missing_mode(model, found.effect.where, omega, at_rest=False)
 

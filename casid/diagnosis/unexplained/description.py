@@ -299,7 +299,7 @@ def dependence_text(dependences: Sequence[Dependence]) -> str:
 
 
 def disturbance_sentences(where: str, tests: ResidualTests, alpha: float) -> list[str]:
-    """Of what no function explains; a test may find that it depends on states all the same."""
+    """Sentences on a remainder that no function explains, though a test may find dependence."""
     kind = "The remainder resembles a disturbance"
     if tests.verdict == IN_TIME:
         kind = "The mean or the power of the remainder changes in time"

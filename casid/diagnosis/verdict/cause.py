@@ -39,7 +39,7 @@ class Alternative:
 
     @property
     def words(self) -> str:
-        """As an engineer says it."""
+        """The effect in words."""
         if self.kind == "unknown" and self.description:
             what = self.description.removeprefix("a term ")
             like = f" {what}" if what != self.description else f" ({what})"
@@ -52,7 +52,7 @@ class Alternative:
         return self.p_value >= 0.5
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` has it."""
+        """The fields as `diagnosis.json` holds them."""
         return plain_fields(self)
 
 
@@ -89,7 +89,7 @@ class Cause:
 
     @property
     def words(self) -> str:
-        """As an engineer says it."""
+        """The effect in words."""
         return effect_words(self.kind, self.where, description=self.description)
 
     def in_units(self, units: Mapping[str, str]) -> Cause:
@@ -121,7 +121,7 @@ class Cause:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` has it."""
+        """The fields as `diagnosis.json` holds them."""
         return {
             "kind": self.kind,
             "where": self.where,

@@ -30,7 +30,7 @@ def bars_of(
     roundings: Sequence[Mapping[str, float]] = (),
     shifts: Sequence[Mapping[str, float]] = (),
 ) -> ErrorBars | None:
-    """As `identify` has them, and what was searched adds; None of a whitened fit.
+    """Error bars as of `identify`, with the instants found; None for a whitened fit.
 
     Parameters
     ----------

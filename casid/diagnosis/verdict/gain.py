@@ -145,7 +145,7 @@ def chance_by_estimates(
 
 
 class _Counts(NamedTuple):
-    """Of one part of the records: samples of the clock, and readings of each output (ny,)."""
+    """Samples of the clock, and readings of each output (ny,), in one part of the records."""
 
     samples: int
     readings: Array
@@ -210,7 +210,7 @@ def unlike_held_out(
 
 
 def unlike_under_disturbance(at: Weighted, split: Split) -> str:
-    """As `unlike_held_out`, of a model under a disturbance: the innovations are compared.
+    """`unlike_held_out` for a model under a disturbance: the innovations are compared.
 
     A narrow-band disturbance has few independent samples, so the RMS simulation error differs from
     part to part by chance; the errors that their past does not predict are nearly independent.

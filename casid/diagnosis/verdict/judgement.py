@@ -87,7 +87,7 @@ class Judgement:
 
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
-        """Of the residual, where it is nothing else."""
+        """Disturbances in the residual, where it is nothing else."""
         return self.remainder.disturbances if self.remainder is not None else ()
 
 
@@ -336,7 +336,7 @@ def _is_near_bound(fit: Fit, name: str) -> bool:
 
 
 def _errors(found: Findings, *, with_disturbances: bool) -> tuple[Errors, Errors]:
-    """As `errors_of`; none of a model that was not fitted: they would be those of its start."""
+    """The errors by `errors_of`, None for a model that was not fitted."""
     if not found.baseline.is_fitted:
         return {}, {}
     return errors_of(found, with_disturbances=with_disturbances)

@@ -25,7 +25,7 @@ class Moved:
     std_error_before: float | None = None
 
     def in_unit(self, unit: str) -> Moved:
-        """The same in another unit of its dimension."""
+        """The parameter in another unit of its dimension."""
         before = Estimated(self.name, self.before, self.unit, std_error=self.std_error_before)
         after = Estimated(self.name, self.after, self.unit, std_error=self.std_error_after)
         before, after = before.in_unit(unit), after.in_unit(unit)

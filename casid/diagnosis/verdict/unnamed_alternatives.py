@@ -43,7 +43,7 @@ class UnnamedAlternative:
         return self.ahead > COMPARISON.strong
 
     def alternative(self) -> Alternative:
-        """As one of the things that a cause may be."""
+        """The function as an alternative of a cause."""
         return Alternative(
             "unknown",
             self.place,

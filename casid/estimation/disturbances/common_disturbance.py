@@ -142,7 +142,7 @@ class CommonSearch:
         return min((best, *tried), key=lambda c: c.criterion)
 
     def _wider(self, chosen: NoiseModel, found: Common, felt: Sequence[str]) -> list[Common]:
-        """The same force in one more balance."""
+        """The force with one more balance in which it acts."""
         common = _common_of(found)
         assert common is not None
         taken, out = [p.place for p in common.parts], []

@@ -222,7 +222,7 @@ def _greedily(
 
 
 def _joined(noise: NoiseModel, found: Mapping[str, DisturbanceSpectrum]) -> NoiseModel:
-    """The same with one more source for each force that acts in several balances."""
+    """The noise with one more source for each force that acts in several balances."""
     responses = [joined(r, found) for r in noise.responses]
     source_sd = {n: noise.source_sd.get(n, 0.0) for n in responses[0].sources}
     return replace(noise, responses=responses, source_sd=source_sd)

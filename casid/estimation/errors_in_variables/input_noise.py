@@ -53,7 +53,7 @@ class InputNoise:
 
     @property
     def at_floor(self) -> tuple[str, ...]:
-        """Those of `agree` whose floor is more exact than what the residual shows."""
+        """Inputs of `agree` whose floor is more exact than what the residual shows."""
         both = self.noise.variance_error
         return tuple(n for n in self.agree if 2 * both(n) ** 2 > self.errors[n] ** 2)
 
@@ -75,7 +75,7 @@ class InputNoise:
 
     @property
     def most(self) -> dict[str, float]:
-        """As `sd`, as much as the errors of the estimated variances allow."""
+        """Standard deviations as `sd`, as large as the errors of the variances allow."""
         noise, above = self.noise, REMOVAL.above
         raised = {
             name: float(np.sqrt(sd**2 + above * noise.variance_error(name)))

@@ -165,7 +165,7 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
 
 
 def with_spectral_weights(found: Corrected) -> Corrected:
-    """The same with the estimate by the spectrum of the residual, where that is much more certain.
+    """With the estimate weighted by the residual's spectrum, where that is much more certain.
 
     A fit with a bias from its inputs, or without it, stays as it is.
     """
@@ -202,7 +202,7 @@ def _root(fit: Fit, known: Mapping[str, float], free: Array, found: InputNoise, 
 
 
 def _resolved(root: _Root, fit: Fit) -> _Root:
-    """The same root with integration steps as fine as its weights need."""
+    """The root with integration steps as fine as its weights need."""
     if root.why_not:
         return root
     fine = resolved_under(root.criterion, root.x, root.found.noise.whiten)

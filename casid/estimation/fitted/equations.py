@@ -94,7 +94,7 @@ class ModelEquation:
         return f"{left}{right}" + (f"   {after}" if after else "")
 
     def latex(self) -> str:
-        """As LaTeX for a line of an `aligned` environment, new terms in boxes."""
+        """The equation in LaTeX, for a line of an `aligned` environment; new terms in boxes."""
         right = ""
         for term in self.terms:
             is_negative = term.latex.startswith("-")

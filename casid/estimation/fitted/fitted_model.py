@@ -43,7 +43,7 @@ class HasModel(Protocol):
 
     @property
     def model(self) -> FittedModel | None:
-        """Its model."""
+        """The model of the fit."""
         ...
 
 
@@ -99,7 +99,7 @@ class FittedModel(Saved, Exportable, Viewed):
 
     @property
     def si_values(self) -> dict[str, float]:
-        """The same in SI, as the equations take them."""
+        """The values in SI, as the equations take them."""
         return {p.name: float(p.value or 0.0) for p in self.model.parameters.values()}
 
     @property
@@ -109,7 +109,7 @@ class FittedModel(Saved, Exportable, Viewed):
 
     @property
     def si_initial_states(self) -> dict[str, float]:
-        """The same in SI."""
+        """The initial states in SI."""
         return dict(zip(self.model.states, self.records[0].nodes[0].tolist(), strict=True))
 
     @property
@@ -309,7 +309,7 @@ class FittedModel(Saved, Exportable, Viewed):
         return equations_of(self.model, None if self.baseline is None else self.baseline.model)
 
     def without_noise(self) -> FittedModel:
-        """The same without the disturbances that drive it: what is simulated and exported."""
+        """The model without the disturbances that drive it: what is simulated and exported."""
         if self.noise is None:
             return self
         before, new = _met(self.model), self.model.copy()
@@ -375,7 +375,7 @@ class FittedModel(Saved, Exportable, Viewed):
         return {n: float(v) for n, v in values.items()}, given.fitted is not None
 
     def _substeps(self, Ts: float) -> int:
-        """As many Runge-Kutta steps a second as the fit had, or more."""
+        """Runge-Kutta steps a sample: at least as many a second as the fit had."""
         return max(1, int(np.ceil(self.settings.substeps * Ts / self.Ts - 1e-6)))
 
     def _start(self, given: Driving, known: Mapping[str, float] | None) -> Array | None:

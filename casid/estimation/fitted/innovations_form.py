@@ -82,7 +82,7 @@ def _extended(
     horizon: int,
     substeps: int,
 ) -> Array:
-    """The same by an extended Kalman filter, and simulations from its predicted states."""
+    """Predictions by an extended Kalman filter, and simulations from its predicted states."""
     criterion = ExtendedPredictionError(
         model, [experiment], noise.sources, initial=noise.initial, substeps=substeps
     )

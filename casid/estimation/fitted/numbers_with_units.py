@@ -91,7 +91,7 @@ class _Reader:
         return ca.SX.unary(e.op(), *new) if len(new) == 1 else ca.SX.binary(e.op(), *new)
 
     def _needed(self, op: int, parts: list[Expr], needed: Dimension) -> list[Dimension]:
-        """Of which dimension the parts of an operation have to be; None where any fits."""
+        """Dimension that the parts of an operation must have; None where any fits."""
         own = [self._dimension(part) for part in parts]
         if op in _SUMS:
             either = next((d for d in own if d is not None), None)

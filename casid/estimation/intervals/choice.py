@@ -118,7 +118,7 @@ class Estimation:
 
     @property
     def parameters(self) -> list[str]:
-        """Those whose intervals are sought."""
+        """Parameters whose intervals are sought."""
         c = self.fit.criterion
         return [
             v.name

@@ -52,12 +52,12 @@ class Minimised(Protocol):
 
     @property
     def names(self) -> Sequence[str]:
-        """Of the unknowns."""
+        """Names of the unknowns."""
         ...
 
     @property
     def n_constraints(self) -> int:
-        """Of its own."""
+        """Number of constraints of its own."""
         ...
 
     def evaluate(self, x: Array) -> Evaluation:
@@ -101,7 +101,7 @@ class Tilted:
 
     @property
     def n_constraints(self) -> int:
-        """Of the criterion."""
+        """Number of constraints of the criterion."""
         return self.criterion.n_constraints
 
     def evaluate(self, x: Array) -> Evaluation:
@@ -187,7 +187,7 @@ class ScaledCriterion:
         return self.is_root and abs(value - self.x[i]) >= (1 - 1e-9) * self._farthest[i]
 
     def std_error(self, i: int) -> float:
-        """Of an unknown by its place."""
+        """Standard error of an unknown by its place."""
         return float(np.sqrt(max(self.covariance[i, i], 0.0)))
 
     def path(self, i: int) -> tuple[float, Array]:

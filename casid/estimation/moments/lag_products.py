@@ -176,6 +176,6 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def fast_two_sum(a: Array, b: Array) -> tuple[Array, Array]:
-    """As `two_sum` for |a| >= |b| (Dekker)."""
+    """Sum and rounding error, as `two_sum`, for |a| >= |b| (Dekker)."""
     total = a + b
     return total, b - (total - a)

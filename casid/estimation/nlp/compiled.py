@@ -131,7 +131,7 @@ class Compiled:
         return self._box
 
     def with_solver(self, solver: Solver | str) -> Compiled:
-        """The same program for another solver."""
+        """The program for another solver."""
         return Compiled(self._statement, as_solver(solver))
 
     def put(self, values: Mapping[str, Any]) -> None:

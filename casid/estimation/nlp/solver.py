@@ -108,7 +108,7 @@ class Solver:
 
 
 def descending(solver: Solver | None) -> Solver | None:
-    """The same without steps that raise the objective, None where there is nothing to leave out.
+    """The solver without steps that raise the objective, None where nothing changes.
 
     After ten shortened steps Ipopt's watchdog takes a whole one on trial, as progress along curved
     constraints may need. Where a whole step is far too long, a search was seen to end there.
@@ -120,7 +120,7 @@ def descending(solver: Solver | None) -> Solver | None:
 
 
 def quasi_newton(solver: Solver | None) -> Solver | None:
-    """The same with a curvature learned from gradients (BFGS), None where one was chosen.
+    """The solver with a BFGS approximation of the Hessian, None where one was chosen.
 
     Where two solutions of a model meet, as two time constants that may be exchanged become equal,
     the matrix of Gauss and Newton is singular at the minimum and its steps do not end there.

@@ -65,7 +65,7 @@ class DisturbanceSpectrum:
         return np.asarray(s / max(float(np.mean(s)), TINY))
 
     def of(self, omega: Array, Ts: float) -> Array:
-        """The same at any frequencies `omega` (F,) [rad/sample]."""
+        """The spectrum of unit variance at any frequencies `omega` (F,) [rad/sample]."""
         even = self._shape(np.linspace(0.0, np.pi, GRID), Ts)
         return np.asarray(self._shape(omega, Ts) / max(float(np.mean(even)), TINY))
 

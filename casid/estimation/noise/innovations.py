@@ -285,7 +285,7 @@ def filtered(filters: ComplexArray, columns: Array, size: int) -> Array:
 
 
 def _in_parts(taps: Array, columns: Array) -> Array:
-    """The same with filters (n, n, L) as they are in time, part by part from L samples before each.
+    """Filtering by (n, n, L) coefficients in time, in parts that begin L samples early.
 
     A transform of a part stays in the processor's cache (overlap-save).
     """

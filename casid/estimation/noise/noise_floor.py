@@ -19,7 +19,7 @@ def is_held(records: Sequence[Array]) -> bool:
 
 
 def white_floor(records: Sequence[Array]) -> float:
-    """The same for one channel, (N,) a record.
+    """The white noise floor of one channel, (N,) a record.
 
     Where the signal steps now and then, its spectrum reaches up to Nyquist, but most of its third
     differences are those of the noise: their median counts where it is lower by more than chance.

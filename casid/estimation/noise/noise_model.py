@@ -64,12 +64,12 @@ class NoiseModel:
     _partial: dict[tuple[int, bytes], Partial] = field(default_factory=dict, init=False, repr=False)
 
     def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
-        """The same without disturbances: sensors and measured inputs only."""
+        """The noise of sensors and measured inputs alone, without disturbances."""
         quiet = {name: input_sd.get(name, 0.0) for name in self.source_sd}
         return replace(self, source_sd=quiet, varying=())
 
     def averaged(self) -> NoiseModel:
-        """The same by the average response: for other parts of records than it was found from."""
+        """The noise with average responses, for parts of records that it was not found from."""
         return replace(self, varying=()) if self.varying else self
 
     def variance_error(self, name: str) -> float:
@@ -101,7 +101,7 @@ class NoiseModel:
         return float((r.gain2[:, :, r.sources.index(name)] * self.weights**2).mean())
 
     def power(self, data: Sequence[Signals]) -> float:
-        """Of the residuals, added over samples and weighted outputs."""
+        """Power of the residuals, added over samples and weighted outputs."""
         weights = self.weights**2
         return sum(d.N * float(np.mean(self.spectrum(e) @ weights)) for e, d in enumerate(data))
 
@@ -266,7 +266,7 @@ class NoiseModel:
     def minus_log_likelihood(
         self, residuals: Sequence[Array], beside: Sequence[Array] | None = None
     ) -> float:
-        """Of residuals (N, ny) of each experiment: infinite or no number where they diverge.
+        """Minus log-likelihood of residuals (N, ny) an experiment; not finite where they diverge.
 
         Parameters
         ----------

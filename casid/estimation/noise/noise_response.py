@@ -145,7 +145,7 @@ def joined(r: Response, spectra: Mapping[str, DisturbanceSpectrum]) -> Response:
 
 
 def joined_steps(steps: Steps, spectra: Mapping[str, DisturbanceSpectrum]) -> Steps:
-    """The same of a simulation that is linearised at every sample."""
+    """Steps of a simulation that is linearised at every sample, with the forces joined."""
     for name, parts in _of_several(steps.sources, spectra):
         b0, b1, d = (
             np.concatenate([m, _together(m, steps.sources, parts)], axis=2)
@@ -311,7 +311,7 @@ def _gains(at_points: Array) -> Array:
 
 
 def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
-    """As `_linearisation`, built once."""
+    """The `_linearisation` of a model, built once."""
     found: tuple[Model, Explicit, Any, bool] = criterion.built(
         ("noise response", Ts), lambda: _linearisation(criterion, Ts)
     )

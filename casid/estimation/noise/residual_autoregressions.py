@@ -247,7 +247,7 @@ def _restricted_likelihood(models: Sequence[Autoregression], records: Sequence[W
 
 
 def residual_autoregressions(fit: Fit, free: Array) -> tuple[list[Autoregression], Array]:
-    """Of the weighted residual of each output of a fit, and the correlation of their innovations.
+    """Autoregressions of each output's weighted residual, and their innovations' correlation.
 
     Missing samples of an output are passed over, as if the others followed one another. Outputs
     that do not have the same samples are taken for independent.

@@ -37,7 +37,7 @@ class Spectra:
 
     @property
     def floor(self) -> Array:
-        """The same for each band."""
+        """The least variance for each band."""
         return np.asarray(self.least[self.output])
 
 

@@ -41,7 +41,7 @@ class Lines:
 
 
 def lines_of(columns: Array) -> Lines:
-    """Those of columns (N, ny, m), without the line at zero."""
+    """Transforms of columns (N, ny, m) in bands, without the line at zero."""
     N = len(columns)
     window = np.hanning(N + 2)[1:-1]
     window = window / np.sqrt(np.sum(window**2))
@@ -210,7 +210,7 @@ def _spectra_of(
 
 
 def _with(spectrum: DisturbanceSpectrum, kind: str, value: float) -> DisturbanceSpectrum:
-    """The same of another frequency or damping."""
+    """The spectrum with another frequency or damping."""
     if kind == "frequency":
         return replace(spectrum, frequency=value)
     return replace(spectrum, damping=value)

@@ -188,7 +188,7 @@ def non_negative(a: Array, b: Array) -> Array:
 def _alike(
     responses: Sequence[Response], weights: Array, sources: list[str], candidates: Sequence[str]
 ) -> list[tuple[str, ...]]:
-    """Those of `candidates` in groups whose |G|^2 are multiples of one another; none that is 0.
+    """`candidates` in groups whose |G|^2 are multiples of one another, without those that are 0.
 
     Outputs, which may differ by orders of magnitude in SI, count in the criterion's weights. What
     acts on one output alone is not like what acts on that and on another.
@@ -225,7 +225,7 @@ def with_rounding(signals: Sequence[Signals], known: Mapping[str, float]) -> dic
 
 
 def known_sources(known: Mapping[str, float], model: Model) -> dict[str, float]:
-    """Of the noise that is known, that of inputs, and of forces by their balances.
+    """The known noise of inputs, and of forces by their balances.
 
     The law of a state is a balance by the state's name, and so may be an output.
     """

@@ -114,7 +114,7 @@ class VaryingInnovations:
         return np.asarray(np.log(np.einsum("kii->ki", self._roots)))
 
     def cut(self, rows: slice) -> VaryingInnovations:
-        """Those of these rows alone."""
+        """The process in these rows alone."""
         p = self.process
         if rows == slice(0, len(p.a)):
             return self
@@ -144,7 +144,7 @@ def _by_numpy(process: Process) -> tuple[Array, Array]:
 
 
 def _by_casadi(process: Process) -> tuple[Array, Array]:
-    """The same of few states, in blocks, in a fifth of the time."""
+    """The gains and roots of a process with few states by CasADi, in a fifth of the time."""
     N, n, m = process.c.shape
     past = -N % BLOCK  # the last block is filled up with its last sample
     parts = [
@@ -183,7 +183,7 @@ def _inverse_root(covariance: Array) -> Array:
 
 
 class PartialVarying:
-    """Those of the samples that there are; like `missing_samples.PartialInnovations`."""
+    """Innovations of the recorded samples alone; like `missing_samples.PartialInnovations`."""
 
     def __init__(self, whole: VaryingInnovations, used: BoolArray) -> None:
         self._whole, self._used = whole, used

@@ -128,7 +128,7 @@ class _Likelihood:
         self.keys += [("source", n) for n in self.sources]
 
     def variances(self, noise: NoiseModel) -> Array:
-        """Those that are sought, in the order of `keys`."""
+        """Variances that are estimated, in the order of `keys`."""
         sds = [*noise.output_sd[self.outputs], *(noise.source_sd[n] for n in self.sources)]
         return np.array(sds) ** 2
 

@@ -64,7 +64,7 @@ def minimum(
 
 
 def step(z: Array, at: At, damping: float, lower: Array, upper: Array) -> Array:
-    """Of scoring; variables at a bound that it would cross stay there.
+    """The step of Fisher scoring; variables at a bound that it would cross stay there.
 
     A variance of next to nothing hardly counts, and its logarithm would go far: it goes no
     farther than `LONGEST`, and all others where they are likeliest beside it.
@@ -92,7 +92,7 @@ def step(z: Array, at: At, damping: float, lower: Array, upper: Array) -> Array:
 def of_spectra(
     z: Array, S: Array, slopes: dict[int, Array], count: Array, power: Array
 ) -> At | None:
-    """Of mean cross-periodograms under S, over the places of z that S depends on.
+    """Likelihood of mean cross-periodograms under S, and its derivatives in the places of z.
 
     None where S is singular: outputs that one source moves, and no other noise.
 

@@ -110,7 +110,7 @@ class NoisyUnknowns:
         return self.unknowns.parameters(x, e, self.index[e])
 
     def variances(self, x: Array, e: int) -> Array:
-        """Of `places.sources`, in one experiment at `x`."""
+        """Variances of `places.sources` in one experiment at `x`."""
         sources, at = self.places.sources, len(self.unknowns.free)
         index = self.index[e][at : at + len(sources)]
         return np.array([x[i] if i >= 0 else w.sd**2 for w, i in zip(sources, index, strict=True)])

@@ -39,7 +39,7 @@ def between_samples(u: Array, parts: int) -> Array:
 
 @functools.lru_cache(maxsize=8)
 def _course(column: bytes, parts: int) -> Array:
-    """The same of one column; every fit of a record wants it again."""
+    """Band-limited values of one column, kept, as every fit of a record needs them."""
     u = np.frombuffer(column)
     out = np.empty((len(u), parts - 1))
     if len(u) < 2:

@@ -66,7 +66,7 @@ def lag_held(u: Array, samples: float) -> tuple[Array, Array]:
 
 
 def delay_held(u: Array, samples: float) -> tuple[Array, Array]:
-    """The same behind a delay of any number of samples; before the record it was the first."""
+    """A lag behind a delay of any number of samples; before the record stands the first value."""
     whole = int(np.floor(samples))
     late = np.concatenate([np.repeat(u[:1], whole + 1, axis=0), u])[: len(u) + 1]
     new, d_new = at_the_step(samples - whole)
@@ -115,7 +115,7 @@ def lag_lines(lines: Array, samples: float, *, steps: bool) -> tuple[Array, Arra
 
 
 def _line_weights(r: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Of exp(-a/r) over 0 <= a <= 1, and the derivatives with r:
+    """Weights of a line under exp(-a/r) over 0 <= a <= 1, and their derivatives with r:
 
     int exp, int (1 - a) exp, F = 6 int a (1 - a) exp and F / r.
     """

@@ -176,7 +176,7 @@ def _resolved(c: SimulationError, start: Mapping[str, float] | None) -> Simulati
 
 
 def _from(c: SimulationError, start: Mapping[str, float] | None, *, finer: int) -> SimulationError:
-    """The same criterion from a start, its steps divided."""
+    """The criterion from a start, with its steps divided."""
     return SimulationError(
         c.model,
         c.experiments,

@@ -126,7 +126,7 @@ def _likeliest(parts: Sequence[_Differences], levels: Array) -> tuple[float, flo
 
 
 def _without_outliers(readings: Sequence[Readings], levels: Array | None) -> list[Readings]:
-    """The same without samples that noise which grows does not explain either.
+    """The samples without outliers that growing noise does not explain either.
 
     In two passes: beside an outlier its neighbours lie far off as well, until it is gone.
 

@@ -68,7 +68,7 @@ def recorded_inputs(model: Model, record: Record) -> list[str]:
 
 
 def doubtful_inputs(model: Model, record: Record) -> list[str]:
-    """Those of `recorded_inputs` that may have moved where they have no sample."""
+    """The `recorded_inputs` that may have moved where they have no sample."""
     return [
         name
         for name in recorded_inputs(model, record)

@@ -32,7 +32,7 @@ class Instants:
 
 
 def own_instants(record: Record, outputs: Sequence[str], held: Sequence[str]) -> Instants | None:
-    """Of a record's outputs and held inputs; None where all stand at the instants of the clock."""
+    """Instants of a record's outputs and held inputs; None where all are those of the clock."""
     if not any(name in record.late for name in outputs):
         return None
     none, bend = np.zeros(record.N), np.full(record.N, np.nan)

@@ -99,7 +99,7 @@ class Before:
     jac: Array | None = None  # (N, n)
 
     def part(self, rows: slice) -> Before:
-        """The same of these rows."""
+        """The signals in these rows."""
         return Before(self.y[rows], None if self.jac is None else self.jac[rows])
 
 

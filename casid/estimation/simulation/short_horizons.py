@@ -66,5 +66,5 @@ def fit_of_short_horizons(
 
 
 def begun_at(criterion: SimulationError, start: Mapping[str, float]) -> SimulationError:
-    """The same criterion from other start values."""
+    """The criterion from other start values."""
     return criterion.of_records(criterion.experiments, weights=criterion.weights, start=start)

@@ -101,7 +101,7 @@ class SimulationError:
         whiten: Whitener | None = None,
         start: Mapping[str, float] | None = None,
     ) -> SimulationError:
-        """The same criterion of other records; what was built of the model is used again.
+        """The criterion of other records; functions built of the model are used again.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class SimulationError:
         return other
 
     def of_first_samples(self, count: int) -> SimulationError:
-        """The same variables, and of each segment or window its first samples alone, not joined."""
+        """The criterion of the first samples of each segment or window, not joined."""
         other = copy.copy(self)
         other.joined, other.data = False, []
         other._last, other._evaluated = LastOf(), LastPoints()
@@ -124,7 +124,7 @@ class SimulationError:
         return other
 
     def whitened(self, whiten: Whitener | None) -> SimulationError:
-        """The same criterion under another whitening."""
+        """The criterion under another whitening."""
         other = copy.copy(self)
         other.whiten = whiten
         return other

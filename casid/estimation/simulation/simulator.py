@@ -238,7 +238,7 @@ class Simulator:
     def sensitivities(
         self, u: Array, p: Array, x0: Array, *, after: Array | None = None
     ) -> Trajectory:
-        """As `simulate`, with dy (N, ny, nv) in (free parameters, initial state).
+        """The simulation, with dy (N, ny, nv) in (free parameters, initial state).
 
         `after` (nu,) is the input one sample after the last, where it is known: x[N] needs it.
         """
@@ -268,7 +268,7 @@ class Simulator:
 
     @functools.cached_property
     def _wide(self) -> WideTangents | None:
-        """Of so many parameters that one step with all their tangents would be slow."""
+        """Sensitivities to so many parameters that one step with all tangents would be slow."""
         if len(self._felt) * len(self._columns()) < WIDE or self._stepping.easy:
             return None
         e, banded = self.equations, len(self._stepping.banded)

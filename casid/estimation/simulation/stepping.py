@@ -85,7 +85,7 @@ class Step:
         return self._block
 
     def easy_block(self, n: int, substeps: int, easy: float) -> tuple[int, Any, Any]:
-        """The same of whole samples, of two steps where these are exact, of `substeps` elsewhere.
+        """A function of whole samples: two steps each where exact, `substeps` elsewhere.
 
         It takes state, inputs, inputs a sample later and parameters.
         """

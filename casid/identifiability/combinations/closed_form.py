@@ -126,7 +126,7 @@ def _directions(
 
 @dataclass(frozen=True, slots=True)
 class IdentifiableCombinations:
-    """Of a confounded group: combinations (sympy) that no family changes."""
+    """Combinations (sympy) of a confounded group that no family changes."""
 
     group: tuple[str, ...]
     combinations: tuple[Any, ...]
@@ -150,7 +150,7 @@ class IdentifiableCombinations:
 def identifiable_combinations(
     families: Sequence[Family], fixing: FixingSets
 ) -> tuple[IdentifiableCombinations, ...]:
-    """Of every confounded group whose families were found."""
+    """Identifiable combinations of every confounded group whose families were found."""
     out = []
     for group, size in zip(fixing.groups, fixing.group_sizes, strict=True):
         inside = [f for f in families if f.free in group]

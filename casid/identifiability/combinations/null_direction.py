@@ -67,7 +67,7 @@ class NullDirection(PickledByFields):
         return tuple(n for n, v in self.entries.items() if v is None)
 
     def following(self, free: str) -> NullDirection:
-        """The same direction, normalised to another parameter.
+        """The direction, normalised to another parameter.
 
         Raises
         ------

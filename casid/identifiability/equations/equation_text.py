@@ -98,7 +98,7 @@ def parse_system(mapping: Mapping[str, Any], *, name: str = "", where: str = "")
 def parse_systems(
     mapping: Mapping[str, Any], *, name: str = "", where: str = ""
 ) -> tuple[System, ...]:
-    """As `parse_system`, with one system for each of the mapping's data sets.
+    """One system for each of the mapping's data sets, each read as by `parse_system`.
 
     A data set is called by its own name, or "data set 1", "data set 2", ...
     """

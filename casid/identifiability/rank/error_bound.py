@@ -24,7 +24,7 @@ from casid.identifiability.rank.program import ONE, Program
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Of a polynomial: degree, log2 of the one-norm, and how often denominators are cleared.
+    """Size of a polynomial: degree, log2 of the one-norm, and how often denominators are cleared.
 
     With L the least common denominator of the numbers in the equations, L**cleared P has integer
     coefficients. Variables are the symbols and the primitives.
@@ -76,7 +76,7 @@ def failure_probabilities(
 
 
 def minor_sizes(program: Program, rows: int, order: int, *, copies: int = 1) -> list[Size]:
-    """Of a minor as a polynomial in the random numbers, for derivatives up to 0 .. `order`.
+    """Sizes of a minor as a polynomial in the random numbers, for derivatives up to 0 .. `order`.
 
     At most one row of each output is of the highest order, one of the next lower, and so on.
     """
@@ -101,7 +101,7 @@ def minor_sizes(program: Program, rows: int, order: int, *, copies: int = 1) -> 
 
 
 def _sizes(program: Program) -> list[Size]:
-    """Of every node, as a polynomial in the variables and the primitives."""
+    """Size of every node, as a polynomial in the variables and the primitives."""
     out = [Size(1.0, 0.0)] * program.n_nodes
     for n in program.order:
         if n in program.sums:

@@ -228,7 +228,7 @@ def noise_edge(rows: int, n: int) -> float:
 
 
 def singular_values(matrix: Array) -> Array:
-    """Of a tall matrix, by way of its triangular factor."""
+    """Singular values of a tall matrix, by way of its triangular factor."""
     return np.asarray(np.linalg.svd(np.linalg.qr(matrix, mode="r"), compute_uv=False))
 
 

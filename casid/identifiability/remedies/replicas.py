@@ -55,7 +55,7 @@ class ReplicasNeeded:
     error_bound: float
 
     def deficiency(self, count: int) -> int:
-        """Of the parameters with `count` >= 1 replicas.
+        """Rank deficiency of the parameters with `count` >= 1 replicas.
 
         Raises
         ------

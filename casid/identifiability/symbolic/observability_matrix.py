@@ -130,7 +130,7 @@ class ObservabilityMatrix(Presented):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Those of the columns that are parameters."""
+        """The columns that are parameters."""
         return tuple(c for c in self.columns if c not in self.states)
 
     @property
@@ -294,7 +294,7 @@ def _rational(value: Fraction) -> Expr:
 
 
 def _without_common_factor(direction: Mapping[str, Expr]) -> dict[str, Expr]:
-    """The same direction without denominators and common factors, its first component positive."""
+    """The direction without denominators and common factors, its first component positive."""
     import sympy
 
     entries = list(direction.values())

@@ -123,7 +123,7 @@ def _input_gain(model: Model, channel: str) -> Effect:
 
 
 def at_instant(effect: Effect, model: Model, time: float, end: float | None = None) -> Effect:
-    """The same as `effect`, which sets in at an instant, at another [s]; over at `end` [s]."""
+    """The `effect`, which sets in at an instant, at another instant [s]; it ends at `end` [s]."""
     if effect.shape == KNOCK:
         return knock(model, effect.where, time, effect.constants["duration"])
     made = {

@@ -75,7 +75,7 @@ def end_stop(
 
 
 def rounded_stop(model: Model, stop: Effect, width: float) -> Effect:
-    """The same stop with a corner rounded over `width` (position's SI unit)."""
+    """The stop with its corner rounded over `width` (position's SI unit)."""
     side = next(side for side, variant in _VARIANT.items() if variant == stop.variant)
     return _stop_of(model, place_named(model, stop.where), side, stop.parameters, width)
 

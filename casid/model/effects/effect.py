@@ -171,7 +171,7 @@ class Effect:
     def extended(
         self, model: Model, *, starts: Mapping[str, float] | None = None, upper: float | None = None
     ) -> tuple[Model, tuple[str, ...]]:
-        """As `extend`, with the names that the parameters got in the extended model."""
+        """The extended model, with the names that the parameters got in it."""
         new = model.copy(f"{model.name} + {self.kind}")
         names = []
         for i, p in enumerate(self.parameters):

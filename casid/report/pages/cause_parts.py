@@ -115,7 +115,7 @@ def ranking_parts(d: Diagnosis) -> list[Part]:
     facts = Facts.of(d)
 
     def order(r: Ranked) -> tuple[int, float, float]:
-        """Its place in the table; one without a p comes last."""
+        """Place of a row in the table; one without a p-value comes last."""
         p = facts.p_value(r.kind, r.where)
         return _FATES.index(r.status), math.inf if math.isnan(p) else p, -(r.gain or 0.0)
 

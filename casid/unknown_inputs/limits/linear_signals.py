@@ -180,7 +180,7 @@ class LinearSignals:
     def with_signals(
         self, signals: Mapping[str, Definition], *, noncausal: bool = False
     ) -> LinearSignals:
-        """The same system with more signals, made of externals and signals that are there.
+        """The system with more signals, made of externals and signals that are there.
 
         Parameters
         ----------

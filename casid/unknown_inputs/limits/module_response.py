@@ -50,7 +50,7 @@ class ResponsePoints:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the real parts and, off the real axis, the imaginary parts."""
+        """Names of the real parts and, off the real axis, of the imaginary parts."""
         made: list[str] = []
         for w in self.omega:
             if w == 0:

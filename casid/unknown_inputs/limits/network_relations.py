@@ -66,7 +66,7 @@ class Relation:
         return max(0, *(-g.relative_degree for g in self.modules.values()))
 
     def orders(self, most: int) -> Orders:
-        """Of B_k/F_k for each channel, nb and nf at most so large, with C and D of order one."""
+        """Orders of B_k/F_k for each channel, at most nb and nf, with C and D of order one."""
         size = {n: _orders(g) for n, g in self.modules.items()}
         return Orders(
             nb={n: min(nb, most) for n, (nb, _) in size.items()},
@@ -78,11 +78,11 @@ class Relation:
 
     @property
     def delays(self) -> dict[str, int]:
-        """Of each channel to the delayed output, samples."""
+        """Delay of each channel to the delayed output [samples]."""
         return {n: g.relative_degree + self.lead for n, g in self.modules.items()}
 
     def common_denominator(self) -> Orders:
-        """Of A w_j = sum B_k channel_k + A error: linear in its coefficients."""
+        """Orders of A w_j = sum B_k channel_k + A error, which is linear in its coefficients."""
         # In a sum with generic factors nothing cancels but what all denominators share.
         total = rational(0)
         for prime, g in zip(_PRIMES * len(self.modules), self.modules.values(), strict=False):

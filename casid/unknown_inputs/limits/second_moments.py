@@ -67,7 +67,7 @@ class SecondMoments:
         return np.zeros(shape, dtype=object if self.field else float)
 
     def variance(self, form: Array) -> Any:
-        """Of a linear form (n,), a sum of squares."""
+        """Variance of a linear form (n,), a sum of squares."""
         response = form @ self.G
         if self.field is not None:
             return np.sum(response[0] * response[0] * self.variances)

@@ -147,7 +147,7 @@ class PredictedInputs:
         return v
 
     def on_grid(self, found: PredictionMinimum, output: str, points: int) -> PredictionMinimum:
-        """The same minimum on more points."""
+        """The minimum computed on more points."""
         from dataclasses import replace
 
         names = [output, *self.sources.values()]

@@ -116,7 +116,7 @@ class Network(Presented):
         return self._with(modules=kept)
 
     def with_sensors(self, measured: Iterable[Node]) -> Network:
-        """The same network with other measured nodes; noise of those that stay is kept."""
+        """The network with other measured nodes; noise of those that stay is kept."""
         chosen = as_nodes(measured)
         noise = {k: v for k, v in self.sensor_noise.items() if k in chosen}
         return self._with(measured=chosen, sensor_noise=noise)

@@ -58,7 +58,7 @@ class _Simulated:
 
     @property
     def residuals(self) -> list[Array]:
-        """Of the samples that there are, one after another: white noise has no other neighbours."""
+        """Residuals of the recorded samples, joined over gaps, as white noise may be."""
         return [
             ((y - s) / size)[u]
             for y, s, size, u in zip(

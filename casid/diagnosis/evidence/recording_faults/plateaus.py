@@ -146,7 +146,7 @@ def _lacks_noise(
 
 
 def _error_size(errors: Sequence[Array], elsewhere: Sequence[Array]) -> float:
-    """Of the simulation, on samples `elsewhere`: the standard deviation, by the median."""
+    """Standard deviation of the simulation error on samples `elsewhere`, by the median."""
     other = np.concatenate([r[m] for r, m in zip(errors, elsewhere, strict=True)])
     return float(1.4826 * np.median(np.abs(other - np.median(other))))
 

@@ -141,7 +141,7 @@ class _Gains:
 
     @classmethod
     def of(cls, search: Search, bare: Weighted) -> _Gains:
-        """Those of a model under a disturbance."""
+        """The gains of effects in a model under a disturbance."""
         at = replace(bare, fit=bare.unbiased or bare.fit)
         plain = replace(at.fit, criterion=unwhitened(at))
         return cls(search.weighing.known_noise, bare, at, plain)

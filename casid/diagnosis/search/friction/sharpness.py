@@ -41,7 +41,7 @@ def with_sharp_friction(
 
 
 def with_sharp_friction_beside(refine: Refinement, found: Adoption) -> Adoption:
-    """The same of what was found beside a disturbance, where that is likelier; else as it was.
+    """With sharper friction of causes found beside a disturbance, where that is likelier.
 
     The disturbance takes up what a blunt reversal leaves, and the gain beside it hardly shows the
     sharpness: without a spring each reversal leaves a step of the position behind.

@@ -85,7 +85,7 @@ def moved_in_time(model: Model, adopted: Sequence[Adopted], fit: Fit) -> list[Ca
 
 
 def _timed(adopted: Sequence[Adopted]) -> list[Adopted]:
-    """Those that set in at an instant; a knock is too short for a step that is later."""
+    """The causes that set in at an instant, without knocks, too short for a later step."""
     effects = [(a, a.candidate.effect) for a in adopted]
     return [a for a, effect in effects if effect.sets_in and effect.shape != KNOCK]
 
@@ -132,7 +132,7 @@ def _linearised(fit: Fit, own: Sequence[Adopted]) -> _Linearised:
 def _errors(
     fit: Fit, own: Sequence[Adopted]
 ) -> list[tuple[Adopted, tuple[dict[str, float], ...], tuple[float, ...]]]:
-    """Of each cause: what moves with its instants, and their standard errors [s]."""
+    """For each cause, what moves with its instants, and their standard errors [s]."""
     at, instants = _linearised(fit, own), _instants(fit, own)
     covariance = at.covariance(fit)
     local = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -169,7 +169,7 @@ class _Instant:
         return at_instant(self.cause.candidate.effect, model, self.time + later)
 
     def size(self, fit: Fit) -> float:
-        """Of the step, in the unit of the cause."""
+        """Size of the step, in the unit of the cause."""
         return self.sign * fit.values[self.cause.candidate.names[0]]
 
 

@@ -99,12 +99,12 @@ class ModuleEstimate(Presented):
         return float(self.theta[self._place(name)])
 
     def std_error(self, name: str) -> float:
-        """Its standard error."""
+        """Standard error of a coefficient."""
         i = self._place(name)
         return float(np.sqrt(max(self.covariance[i, i], 0.0)))
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Its confidence interval, normal."""
+        """Confidence interval of a coefficient, normal."""
         from scipy.stats import norm
 
         reach = float(norm.ppf(0.5 + level / 2)) * self.std_error(name)
@@ -132,7 +132,7 @@ class ModuleEstimate(Presented):
         return self.transfers[node_label(self.module[1])]
 
     def response(self, omega: ArrayLike) -> ModuleResponse:
-        """Its frequency response at omega [rad/s], errors by linearisation."""
+        """Frequency response of the module at omega [rad/s], with errors by linearisation."""
         w = np.atleast_1d(np.asarray(omega, dtype=np.float64))
         z = np.exp(-1j * w * self.data.Ts)
         layout, name = self.fit.layout, node_label(self.module[1])

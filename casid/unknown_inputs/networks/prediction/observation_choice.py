@@ -57,7 +57,7 @@ class ObservationChoice:
 
     @cached_property
     def variance(self) -> float:
-        """Of the predictor's error; infinite where it cannot be run."""
+        """Variance of the predictor's error; infinite where it cannot be run."""
         return float("inf") if self.predictor.obstacle else self.predictor.variance
 
     @property
