@@ -291,7 +291,7 @@ def _concluded(
 
 
 def _notes_on_written(outputs: Mapping[str, str]) -> list[str]:
-    """What is taken of accelerations that the model writes as forces; output -> balance."""
+    """Notes on accelerations that the model writes as forces; output -> balance."""
     return [
         f"{output} is written as the known forces of the {balance} balance; as an accelerometer "
         "responds to every force, a force that is missing there moves it too"

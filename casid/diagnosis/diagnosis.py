@@ -49,7 +49,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gain:
-    """What including the causes gains, and what it leaves."""
+    """The errors before and after including the causes, and the remainder."""
 
     fitted: Mapping[str, Mapping[str, float]]  # baseline_rmse, extended_rmse -> output -> value
     held_out: Mapping[str, Mapping[str, float]]  # ... and noise_floor
@@ -59,7 +59,7 @@ class Gain:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limits:
-    """What bears on the trust in a diagnosis, and what the records cannot show."""
+    """Limits of a diagnosis: reasons for doubt, and effects that the records cannot show."""
 
     false_alarm_rate: float = 0.05
     notes: tuple[str, ...] = ()

@@ -34,7 +34,7 @@ class ErrorChange:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a diagnosis found, each fact once.
+    """Facts of a diagnosis, each decided once for all sentences and tables.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisSettings:
-    """How causes are sought.
+    """Settings of the search for causes.
 
     Attributes
     ----------
@@ -52,12 +52,12 @@ class DiagnosisSettings:
 
     @property
     def search_ends(self) -> float:
-        """When the search has to end: the verdict needs the rest."""
+        """Time at which the search must end; the verdict needs the rest of the budget."""
         return self.began + BUDGET.search * self.budget
 
     @property
     def ends(self) -> float:
-        """When the diagnosis has to end."""
+        """Time at which the diagnosis must end."""
         return self.began + self.budget
 
 

@@ -275,7 +275,7 @@ class EstimateBuilder:
 
 
 def solver_evidence(solution: Solution, starts: int = 1, agreeing: int = 1) -> SolverEvidence:
-    """What a solution says of itself."""
+    """The solver's evidence of an optimum, from its solution."""
     return SolverEvidence(
         solution.status,
         solution.is_converged,

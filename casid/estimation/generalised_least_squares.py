@@ -80,7 +80,7 @@ class SpectralWeights:
 
     @property
     def text(self) -> str:
-        """What was done, and why."""
+        """What was done and why, in a sentence."""
         name, factor = self.gained
         return (
             f"the residual is coloured (autoregression of order {orders_text(self.models)}); "

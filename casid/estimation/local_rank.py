@@ -73,7 +73,7 @@ _EXPONENT = 4  # numerator and denominator of an exponent, at most: a law of phy
 
 
 def describe_null(rank: LocalRank) -> str:
-    """What is not identifiable, what is determined instead, and the remedy, in sentences."""
+    """Sentences on what is not identifiable, what is determined instead, and the remedy."""
     parts = []
     for direction in rank.null[:_DESCRIBED]:
         names = list(direction)

@@ -119,7 +119,7 @@ class Unknowns:
         self._shared[name] = place
 
     def label(self, experiment: int) -> str:
-        """What marks the unknowns of one experiment among several."""
+        """Suffix that marks the unknowns of one experiment among several."""
         return f"@{self.experiments[experiment][0]}" if len(self.experiments) > 1 else ""
 
     def add_own(self, experiment: int, *, clip: bool = False) -> dict[str, int]:
@@ -167,14 +167,14 @@ class Unknowns:
 
 
 class LastPoints(Generic[T]):
-    """What was computed at the last points: a search ends where it was, or where it began."""
+    """Results at the last points, kept: a search returns to where it was or began."""
 
     def __init__(self, count: int = 3) -> None:
         self._count = count
         self._kept: list[tuple[tuple[object, ...], T]] = []
 
     def __call__(self, given: Sequence[object], compute: Callable[[], T]) -> T:
-        """What `compute()` gives of what is `given`, arrays by their values."""
+        """The result of `compute()` for what is `given`, arrays compared by their values."""
         key = tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in given)
         for known, found in self._kept:
             if known == key:
@@ -185,7 +185,7 @@ class LastPoints(Generic[T]):
 
 
 class LastOf(Generic[T]):
-    """What was computed last for each experiment.
+    """The last result for each experiment.
 
     Solver, scores and reports evaluate a criterion at the same point, one after the other.
     """
@@ -194,7 +194,7 @@ class LastOf(Generic[T]):
         self._kept: dict[int, LastPoints[T]] = {}
 
     def __call__(self, x: Array, experiment: int, compute: Callable[[Array, int], T]) -> T:
-        """What `compute(x, experiment)` gives, without computing it anew at an unchanged point."""
+        """The result of `compute(x, experiment)`, computed once at an unchanged point."""
         last = self._kept.setdefault(experiment, LastPoints(1))
         return last((np.asarray(x, dtype=float),), lambda: compute(x, experiment))
 

@@ -326,7 +326,7 @@ def advice_sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Prop
 
 
 def _beside_the_same(now: Proposal) -> str:
-    """How long the same experiment would have to be, or that it is of no use; or nothing."""
+    """Length that a repeated experiment would need, or that it is of no use; else an empty text."""
     if now.is_feasible:
         return f", where the same experiment would need {record_length_text(now.record_length)}"
     if isfinite(now.record_length):
@@ -348,7 +348,7 @@ def _too_long(who: str, best: Proposal, now: Proposal) -> str:
 
 
 def _why_none(tied: Sequence[str], proposals: Sequence[Proposal]) -> str:
-    """What was compared where no experiment separates the tied causes, and what it says of them."""
+    """Why no experiment separates the tied causes: what was compared, and the outcome."""
     remedy = "determine one of them independently of these records"
     if not proposals:
         return f": none could be predicted from the fitted model. To name the cause, {remedy}."

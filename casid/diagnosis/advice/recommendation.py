@@ -205,7 +205,7 @@ def advice(
 
 
 def _of_an_adequate_model(undetectable: Sequence[str], doubts: Doubts) -> str:
-    """How far a model may be used that lacks no effect of the catalogue."""
+    """Advice for an adequate model: how far it may be used."""
     if doubts.disagreements:
         return f"{_APART}: {doubts.said}."
     if doubts.is_more_than_noise:
@@ -228,7 +228,7 @@ _APART = "Diagnose each record by itself, and look for what differs between them
 def _of_a_deficient_model(
     causes: Sequence[Cause], why_undecided: str, is_better: bool, is_same: bool, doubts: Doubts
 ) -> str:
-    """What to do where causes are named that the record separates from others."""
+    """Advice for a deficient model whose causes the record separates from others."""
     has_samples = any(c.kind in OF_SAMPLES for c in causes)
     of_model = [c for c in causes if c.kind not in OF_SAMPLES]
     if not of_model:
@@ -268,7 +268,7 @@ _CORRECT = "Correct the sensor or the logger, or mark these samples as missing."
 
 
 def _of_samples(why_undecided: str, doubts: Doubts) -> str:
-    """What to do where nothing but samples of a sensor is wrong, or is known to be."""
+    """Advice where only samples of a sensor are wrong, or only they are known to be."""
     if why_undecided:
         return (
             f"{_CORRECT} Whether the model is adequate without them is not known: {why_undecided}."

@@ -193,7 +193,7 @@ class _RankTests:
         )
 
     def _rank(self, model: Model) -> Observability | None:
-        """None where it is not found in time, or the equations cannot be read."""
+        """The observability rank; None if not found in time, or of equations that cannot be read."""
         try:
             systems = translated(model, self.experiments, use_samples=False).systems
             found = observability(systems, time_limit=PLANNING.rank_limit, error_bound=1e-9)
@@ -248,7 +248,7 @@ def _structural_why(
 
 
 def _measured(effect: Effect, model: Model) -> str:
-    """What a sensor of the effect itself would measure."""
+    """The quantity that a sensor of the effect itself would measure."""
     if effect.where in model.balances:
         return f"what acts in the {effect.where} balance"
     return f"the {place_words(effect.where).removeprefix('the ')}"

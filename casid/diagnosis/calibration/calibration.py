@@ -103,7 +103,7 @@ class Calibration(Presented):
 
     @property
     def sentence(self) -> str:
-        """What was found, in words."""
+        """The rate found and its interval, in a sentence."""
         low, high = (100 * x for x in self.interval)
         text = (
             f"Of {self.runs} null records (this one simulated with the fitted model), "
@@ -122,7 +122,7 @@ class Calibration(Presented):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What bears on the trust in it."""
+        """Reasons to trust the rate less."""
         out = []
         if self.is_interrupted:
             out.append(f"interrupted: {self.runs} of {self.requested} null records were done")

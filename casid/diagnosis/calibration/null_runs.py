@@ -30,12 +30,12 @@ class Diagnosed(Protocol):
 
     @property
     def verdict(self) -> Verdict:
-        """What was decided."""
+        """The verdict."""
         ...
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """What was named."""
+        """The causes named."""
         ...
 
     @property
@@ -66,7 +66,7 @@ class Null:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recipe:
-    """What null records are drawn from, without anything of CasADi: it goes to other processes."""
+    """All that null records are drawn from; free of CasADi objects, so that it can be pickled."""
 
     whole: tuple[Any, ...]
     apart: tuple[Any, ...]
@@ -79,7 +79,7 @@ class Recipe:
 
 
 def recipe_of(null: Null) -> Recipe:
-    """What to draw from, out of the fit, its noise and what was held out."""
+    """The recipe of null records, from a fit, its noise and the held-out part."""
     at, split, c = null.at, null.split, null.base_fit.criterion
     return Recipe(
         whole=tuple(split.whole),
@@ -106,7 +106,7 @@ class NullRun:
 
     @property
     def records(self) -> NullRecords:
-        """What draws the null records."""
+        """The null records, drawn by the recipe."""
         if self._records is None:
             r = self.recipe
             self._records = NullRecords(

@@ -221,7 +221,7 @@ def _weighed(
 def _cleaned(
     problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
 ) -> tuple[CorruptedSamples, Split, Fit, str]:
-    """What is corrupted, the records without it, their fit, and a note if less is held out."""
+    """Corrupted samples, the records without them, their fit, and a note if less is held out."""
     corrupted, split = without_corrupted(
         fit, split, settings.alpha, without=tuple(settings.without)
     )

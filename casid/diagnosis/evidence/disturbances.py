@@ -39,7 +39,7 @@ DAY = timedelta(days=1).total_seconds()
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """What a disturbance does in a further balance, over what it does in its first."""
+    """Ratio of a disturbance in a further balance to itself in its first one."""
 
     where: str
     value: float

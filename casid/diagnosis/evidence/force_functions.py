@@ -40,7 +40,7 @@ def variables_of(
     at: Simulated,
     signals: Signals,
 ) -> dict[str, Array]:
-    """What a missing force may depend on, of one record: name -> (N,)."""
+    """Variables of one record that a missing force may depend on: name -> (N,)."""
     model = criterion.model
     out = {name: at.x[: signals.N, i] for i, name in enumerate(model.states)}
     for i, name in enumerate(model.inputs):

@@ -117,7 +117,7 @@ class Linearised:
         return self._motions[key]
 
     def late_inputs(self, k: int) -> Array:
-        """What measured inputs `SCORES.between_samples` late take from a residual, (N, ny, ...)."""
+        """Change (N, ny, ...) of a residual by inputs that are `SCORES.between_samples` late."""
         if k not in self._late:
             criterion, d = self.criterion, self.criterion.data[k]
             late = SCORES.between_samples * np.gradient(d.u, axis=0)

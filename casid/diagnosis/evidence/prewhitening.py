@@ -75,7 +75,7 @@ class Weighted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """How models of these records are fitted under their noise.
+    """Fits of models to these records, weighted by their noise.
 
     Attributes
     ----------

@@ -70,7 +70,7 @@ class Correlated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualTests:
-    """What is left, in kind, with the p-values that say so."""
+    """Kind of the residual (noise, disturbance, deterministic), with the p-values behind it."""
 
     verdict: ResidualKind
     p_spectrum: float

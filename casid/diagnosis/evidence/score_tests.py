@@ -125,7 +125,7 @@ class ScoreTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """How small the smallest p of all candidates is where nothing is missing."""
+    """Distribution of the smallest p of all candidates where nothing is missing."""
 
     smallest: Array  # (draws,) sorted, of Gaussian scores with the candidates' covariance
     count: int  # candidates
@@ -324,7 +324,7 @@ def _require_finite(name: str, tangent: Array, e: Array) -> None:
 def _between_samples(
     criterion: SimulationError, effects: Sequence[Effect], response: Array
 ) -> Array:
-    """What the scores may owe to measured inputs that are no lines between their samples, (K,).
+    """Error (K,) of the scores by measured inputs that are not linear between their samples.
 
     `response` (K, K): score of each effect, without its sign, to a unit of each other.
     """

@@ -19,7 +19,7 @@ from casid.model.effects.effect import Effect, extend_all
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """What the simulation of an extended model gives: residual, tangent and signatures.
+    """Residual, tangent and signatures from the simulation of an extended model.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Columns:
     def antithetic(
         self, x: Array, k: int, sd: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, Array]:
-        """What one draw of noise on the inputs adds to `of_record`, its even part left out.
+        """Change of `of_record` by a draw of input noise, without its part even in the noise.
 
         The draw is `REMOVAL.drawn_share` of the noise, and what it adds is scaled up. The record
         has noise of its own already: with a whole draw more, a function with a kink where an input

@@ -184,7 +184,7 @@ class Regression:
 
     @property
     def misfit_sd(self) -> float:
-        """How far `misfit` is from zero by chance: sqrt(2 M) of M squares."""
+        """Standard deviation of `misfit` by chance: sqrt(2 M) of M squares."""
         return float(np.sqrt(2.0 * len(self.e)))
 
     def explained_and_energy(self) -> tuple[Array, Array]:

@@ -134,7 +134,7 @@ def _is_coloured(y: Array) -> bool:
 
 
 def still_inputs(c: SimulationError) -> str:
-    """What to check of measured inputs that do not move, or an empty text."""
+    """Advice on measured inputs that do not move, or an empty text."""
     return _check([n for n in _measured(c.model) if not _moving(c.experiments, [n])])
 
 

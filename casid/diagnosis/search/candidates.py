@@ -37,7 +37,7 @@ class Candidate:
 
     @property
     def merit(self) -> float:
-        """What candidates are ranked by."""
+        """The number that candidates are ranked by: gain less cost."""
         return self.gain - self.cost
 
 
@@ -129,7 +129,7 @@ def name_of(effect: Effect) -> str:
 
 
 def found_values(candidate: Candidate) -> dict[str, float]:
-    """What an effect's parameters were found to be, by its own names for them."""
+    """Estimated parameters of an effect, by its own names for them."""
     values = candidate.fit.values
     return {
         p.name: values[name]

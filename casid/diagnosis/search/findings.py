@@ -104,7 +104,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
 
 @dataclass(frozen=True, slots=True)
 class _LastSteps:
-    """What is done with the causes when all are found; a step that makes them worse is undone."""
+    """The last steps, when all causes are found; a step that makes the fit worse is undone."""
 
     search: Search
     baseline: Baseline
@@ -112,7 +112,7 @@ class _LastSteps:
     is_sound: Soundness
 
     def sound(self, found: Adoption) -> Adoption:
-        """What was found, or nothing where the model simulates worse with it."""
+        """The causes found, or none where the model simulates worse with them."""
         if found.fit is None or self.is_sound(found.fit):
             return found
         why = "its simulation is worse than that of the model as it is"

@@ -24,7 +24,7 @@ from casid.diagnosis.thresholds import COMPARISON, ROUNDS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """What a refit starts from."""
+    """Start of a refit: a score, or a candidate found on a part of the records."""
 
     score: Score
     found: Candidate | None = None  # on the part

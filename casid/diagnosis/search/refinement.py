@@ -481,7 +481,7 @@ def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:
 def values_by_new_names(
     placed: Sequence[Candidate], before: Sequence[Candidate]
 ) -> dict[str, float]:
-    """What the parameters of effects were found to be, by their new names."""
+    """Estimated parameters of effects, by their new names."""
     return {
         new: c.fit.values[old]
         for p, c in zip(placed, before, strict=True)

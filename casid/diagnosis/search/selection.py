@@ -137,7 +137,7 @@ class Selection:
 
     @property
     def found(self) -> Adoption:
-        """What was adopted until now."""
+        """The causes adopted so far."""
         return Adoption(tuple(self.adopted), self.at, self.fit)
 
     @property

@@ -289,7 +289,7 @@ def _sentences(
 
 
 def dependence_text(dependences: Sequence[Dependence]) -> str:
-    """What depends on variables, is constant, or both."""
+    """The dependences in words: on variables, constant, or both."""
     on = "; and on ".join(d.words for d in dependences if d.variables)
     if not on:
         return "is constant"

@@ -102,7 +102,7 @@ class Dependence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissingForce:
-    """What is missing in one place."""
+    """A missing force or sensor error in one place, over time and as functions."""
 
     place: str
     unit: str
@@ -403,7 +403,7 @@ def _describe(
 
 
 def _in_time(t: Array, value: Array) -> str:
-    """How a force or coefficient moves over the record."""
+    """Change of a force or coefficient over the record, in words."""
     steps = np.diff(value)
     travel = float(np.sum(np.abs(steps)))
     if travel <= 0:

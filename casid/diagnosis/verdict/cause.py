@@ -159,7 +159,7 @@ class Doubts:
 
     @property
     def said(self) -> str:
-        """What contradicts it, in words; empty where nothing does."""
+        """The doubts in words; empty where nothing contradicts the model."""
         said = []
         if self.is_more_than_noise:
             said.append("the remainder is not random")

@@ -72,7 +72,7 @@ def causes_of(
 
 
 def remainders_of(found: Findings) -> tuple[Cause, ...]:
-    """What is significant but explains too little to be a cause, with its size in the last fit.
+    """Significant effects that explain too little to be causes, with sizes in the last fit.
 
     What the extended model leaves out has its size as first fitted. Of what nobody would see, only
     that which stays in the extended model for the causes' sizes.

@@ -227,7 +227,7 @@ def _unlike(
 def _by_estimates(
     found: Findings, fit: Fit, held: Errors, estimate: Estimate
 ) -> Mapping[str, float]:
-    """What the errors of the estimates may add to what was held out, of a model that was fitted."""
+    """Error that the estimates' standard errors may add to the held-out part of a fitted model."""
     if not held:
         return {}
     split, floor = found.baseline.split, held["noise_floor"]
@@ -246,7 +246,7 @@ def _remaining(
     *,
     is_random: bool,
 ) -> Remaining | None:
-    """How much the causes explain, and whether what they leave is noise, or random at least."""
+    """The share that the causes explain, and whether the remainder is noise or at least random."""
     part = fitted if is_random or not held.get("extended_rmse") else held
     chance: dict[str, float] = {}
     if part is held:
@@ -281,7 +281,7 @@ def _has_input_noise(at: Weighted) -> bool:
 
 
 def _doubts(found: Findings, remainder: Remainder | None, bounds: Mapping[str, str]) -> Doubts:
-    """What contradicts the model, named or not."""
+    """The doubts: contradictions of the model, named or not."""
     apart = disagreements(found.best_fit) if not found.baseline.why_undecided else []
     is_more = (
         remainder is not None and remainder.p_value < remainder.level and not remainder.disturbances

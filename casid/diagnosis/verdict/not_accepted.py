@@ -57,6 +57,6 @@ def _identity(x: Cause | Alternative) -> _Identity:
 
 
 def _identities(effect: Effect) -> set[_Identity]:
-    """What an effect is called by a cause, by an alternative and by the table of scores."""
+    """Identities of an effect in causes, alternatives and the table of scores."""
     kind, key = effect.key
     return {(kind, effect.where, effect.description), (kind, key, "")}

@@ -38,7 +38,7 @@ class Moved:
 
     @property
     def shift(self) -> float | None:
-        """How far the parameter moved, in the larger of both fits' standard errors; signed.
+        """Signed shift of the parameter in the larger of both fits' standard errors.
 
         Whatever the correlation r of the two estimates, the error of their difference lies between
         s1 - s2 and s1 + s2, and is the larger one, s1, at r = s2 / (2 s1).
@@ -54,7 +54,7 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """How much of the excess misfit one cause explains."""
+    """Share of the excess misfit that one cause explains."""
 
     kind: str
     where: str
@@ -68,7 +68,7 @@ class Explained:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseFound:
-    """What is known of the noise that a remainder is compared with.
+    """The noise that a remainder is compared with.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class NoiseFound:
 
     @property
     def coloured_by(self) -> str:
-        """What makes the residual autocorrelated; empty where that is not known."""
+        """The source of the residual's autocorrelation; empty where it is not known."""
         if self.is_random:
             return "the disturbance"
         return "noise of measured inputs" if self.is_of_inputs else ""
@@ -227,7 +227,7 @@ def over_floors(part: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
 def _sentence(
     explained: tuple[Explained, ...], left: float, over: Mapping[str, float], *, is_above: bool
 ) -> str:
-    """How much the causes explain, and how far the error ends above the floor.
+    """Sentence on the share that the causes explain and the error over the noise floor.
 
     Parameters
     ----------

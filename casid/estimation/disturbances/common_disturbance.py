@@ -240,13 +240,13 @@ class CommonSearch:
         return 0.5 * count * float(np.log(max(sum(c.sum() for _, c, _ in self._seen), 2.0)))
 
     def _power(self, name: str) -> float:
-        """What a unit variance of a source adds to the outputs, in units of their weights."""
+        """Power that a unit variance of a source adds to the outputs, in units of their weights."""
         r = self.noise.responses[0]
         gain2 = r.gain2[:, :, r.sources.index(name)]
         return float(np.mean(gain2 @ self.noise.weights**2))
 
     def _made_by(self, noise: NoiseModel, name: str) -> float:
-        """What a source adds to them."""
+        """Power that a source adds to the outputs."""
         return noise.source_sd.get(name, 0.0) ** 2 * self._power(name)
 
     def _size(self, first: str, other: str) -> float:

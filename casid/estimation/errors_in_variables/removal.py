@@ -77,7 +77,7 @@ class Corrected:
 
     @property
     def text(self) -> str:
-        """What became of the noise on measured inputs; empty where there is none."""
+        """How noise on measured inputs was treated, in words; empty where there is none."""
         if self.bias is None or self.input_sd is None:
             return f"it is not removed, since {self.why_not}" if self.why_not else ""
         name, worst = max(self.bias.items(), key=lambda item: abs(item[1]))
@@ -216,7 +216,7 @@ _NO_ROOT = "the equations without it have no root near the fit"
 
 
 def _misfit(criterion: SimulationError, found: InputNoise) -> str:
-    """What says that a residual is more than noise of sensors and inputs; empty where it is not."""
+    """Why a residual is more than noise of sensors and inputs; empty where it is not."""
     noise = found.noise
     ratio, spread = noise.excess(noise.quiet(found.sd), [d.N for d in criterion.data])
     if ratio <= max(REMOVAL.absorbs_misfit**2, 1 + REMOVAL.absorbs_spreads * spread):
@@ -228,7 +228,7 @@ def _misfit(criterion: SimulationError, found: InputNoise) -> str:
 
 
 def _worse(fit: Fit, root: _Root) -> str:
-    """What says that a root simulates worse than its noise allows; empty where it does not.
+    """Why a root simulates worse than its noise allows; empty where it does not.
 
     The root of a drifting system may well simulate worse than least squares, whose initial states
     take most of the drift that noise on an input gives. By how much is known: noise of the sizes
@@ -391,7 +391,7 @@ class _Root:
 
     @property
     def scaled_score(self) -> float:
-        """What `Solution.scaled_gradient` is of a minimum."""
+        """The largest scaled score, as `Solution.scaled_gradient` is for a minimum."""
         score, size = self.at.score[self.free], np.diag(self.at.matrix)[self.free]
         value = 0.5 * self.criterion.n_samples * len(self.criterion.outputs)
         return float(np.max(np.abs(score) / np.sqrt(np.maximum(size * value, TINY)), initial=0.0))

@@ -70,12 +70,12 @@ class Minimum(Protocol):
 
     @property
     def criterion(self) -> Minimised:
-        """What was minimised."""
+        """The criterion that was minimised."""
         ...
 
     @property
     def solution(self) -> Solution:
-        """What the solver found."""
+        """The solution found."""
         ...
 
     @property

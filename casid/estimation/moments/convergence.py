@@ -20,7 +20,7 @@ from casid.presentation import Presented
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Convergence(Presented):
-    """What every iteration of a stage found.
+    """The result of every iteration of a stage.
 
     Attributes
     ----------

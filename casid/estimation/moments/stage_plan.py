@@ -55,7 +55,7 @@ class StageRecords:
 def refuse_undetermined(
     specs: Sequence[StageSpec], i: int, parts: Sequence[Part], undetermined: set[str]
 ) -> None:
-    """What affects the records of stage i has to be known there, or estimated by then."""
+    """Refuse stage i if its records depend on parameters neither known nor estimated yet."""
     later = {f for s in specs[i + 1 :] for f in s.free}
     for p in parts:
         slope = np.asarray(p.equation.jacobian([p.values[q] for q in p.equation.parameters])[1])

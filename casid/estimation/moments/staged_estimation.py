@@ -26,7 +26,7 @@ from casid.model.model import Model
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Programs:
-    """What is built once for all records of one form, whatever the values of a prior."""
+    """Programs built once for all records of one form, whatever the values of a prior."""
 
     equations: dict[tuple[str, float], DifferenceEquation] = field(default_factory=dict)
     loops: dict[float, Loop] = field(default_factory=dict)

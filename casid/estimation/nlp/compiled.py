@@ -122,7 +122,7 @@ class Compiled:
 
     @property
     def scale(self) -> Array:
-        """What the solver sees as one (n,)."""
+        """Units (n,) of the solver's variables."""
         return self._scale.copy()
 
     @property

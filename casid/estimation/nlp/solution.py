@@ -83,7 +83,7 @@ class Solution(Presented):
 
     @property
     def remedy(self) -> str:
-        """What to try when it did not converge."""
+        """The remedy where the solver did not converge."""
         return _REMEDIES.get(
             self.status, "try other start values (starts=...), bounds, or fix a parameter"
         )

@@ -26,7 +26,7 @@ GRID = 4001
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What one force does in one of the balances in which it acts.
+    """One balance in which a force acts, and the ratio in which it does.
 
     Attributes
     ----------

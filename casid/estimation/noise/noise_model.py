@@ -78,7 +78,7 @@ class NoiseModel:
         return float(np.sqrt(max(self.covariance.get((key, key), 0.0), 0.0)))
 
     def of_inputs(self, largest: Mapping[str, float]) -> dict[str, float]:
-        """What part of `source_sd` the measured inputs can account for.
+        """The part of `source_sd` that the measured inputs can account for.
 
         Parameters
         ----------

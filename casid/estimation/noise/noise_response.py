@@ -348,7 +348,7 @@ def _input_stages(
     forces: int,
     n: int,
 ) -> Array:
-    """What the noise of each source is in the input columns that are simulated.
+    """Stages that the noise of each source passes on its way to the simulated input columns.
 
     (1, ni, ns) of ones and zeros, or (n + 1, ni, ns) on 0..pi where a stage prepares a column: the
     transform of what becomes of one noisy sample.

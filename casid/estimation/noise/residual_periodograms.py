@@ -192,7 +192,7 @@ def _bins(
 
 
 def _moved(window: Array, whole: Array, omega: Array, spectrum: Array) -> Array:
-    """What missing samples change of a mean periodogram (N // 2 + 1,), `whole` without them.
+    """Change of a mean periodogram (N // 2 + 1,) by missing samples; `whole` is without them.
 
     What the record's finite length does is the same in both, and the residual, whose initial state
     is fitted, has less of it than a stationary process.

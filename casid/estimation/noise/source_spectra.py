@@ -55,7 +55,7 @@ def lines_of(columns: Array) -> Lines:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """What one place of phi is: of an output or a source by its name."""
+    """Meaning of one place of phi: a property of an output or a source by its name."""
 
     kind: str  # "output", "source", "frequency", "damping" or "ratio"
     of: str

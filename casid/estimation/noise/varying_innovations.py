@@ -282,7 +282,7 @@ def smoothed_sources(
 
 
 def _of_white(steps: Steps, names: Sequence[str], sd: Array) -> tuple[Array, Array]:
-    """What white sources move at the next sample (N, nx, w), and at their own in outputs (N, n, w).
+    """Effect of white sources on the next state (N, nx, w), and on outputs at once (N, n, w).
 
     Of the state less what they move before a sample. The first is moved as the second is.
     """

@@ -148,7 +148,7 @@ def _alternatives(
     known: Mapping[str, float],
     residuals: Sequence[Array],
 ) -> Iterator[NoiseModel]:
-    """What may act through a response that varies: the noise as found, or that of inputs alone.
+    """Noise that may act through a varying response: as found, or that of inputs alone.
 
     What is found by the average response is no better than that. Floors do not need one.
     """

@@ -29,7 +29,7 @@ class At:
 
 
 def impossible(n: int) -> At:
-    """What is no point of a search over n variables."""
+    """The value at a point outside the domain of a search over n variables: infinite."""
     return At(np.inf, np.zeros(n), np.zeros((n, n)))
 
 

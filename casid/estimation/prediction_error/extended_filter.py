@@ -35,7 +35,7 @@ from casid.model.model import Model
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredRecord:
-    """What the filter makes of a record; `n` columns of sensitivities, where requested.
+    """Output of the filter for a record; with `n` columns of sensitivities, where requested.
 
     Attributes
     ----------

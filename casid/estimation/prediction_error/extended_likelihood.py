@@ -31,7 +31,7 @@ from casid.model.model import Model
 
 
 class ExtendedOptions(TypedDict, total=False):
-    """What of an `ExtendedPredictionError` may be left out."""
+    """Optional arguments of an `ExtendedPredictionError`."""
 
     own: Sequence[str]
     initial: Mapping[str, Any] | None
@@ -125,7 +125,7 @@ class ExtendedPredictionError:
 
     @property
     def n_constraints(self) -> int:
-        """None of its own."""
+        """Number of constraints of its own: none."""
         return 0
 
     @property

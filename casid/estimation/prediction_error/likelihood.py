@@ -54,7 +54,7 @@ class Predicted:
 
 
 class CriterionOptions(TypedDict, total=False):
-    """What of a `PredictionError` may be left out."""
+    """Optional arguments of a `PredictionError`."""
 
     own: Sequence[str]
     initial: Mapping[str, float] | None
@@ -138,7 +138,7 @@ class PredictionError:
 
     @property
     def n_constraints(self) -> int:
-        """None of its own."""
+        """Number of constraints of its own: none."""
         return 0
 
     @property

@@ -27,7 +27,7 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """What the prediction leaves of the response."""
+    """Residuals of the response, and their statistics."""
 
     residuals: Array  # (N,) response - prediction
     rss: float  # sum of squared residuals, response units squared

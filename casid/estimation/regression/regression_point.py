@@ -185,7 +185,7 @@ class RegressionPoint:
         return np.asarray(result)
 
     def deficiency(self) -> str:
-        """What the data do not see, in words."""
+        """The directions that the data do not determine, in words."""
         v = self.Z @ np.linalg.svd(self.R)[2][-1]
         change = self.d * v / np.where(self.theta != 0, np.abs(self.theta), 1.0)
         change = change / np.max(np.abs(change))

@@ -130,7 +130,7 @@ class SimulationError:
         return other
 
     def built(self, key: object, build: Callable[[], Any]) -> Any:
-        """What is built of the model and the steps alone, once for all records."""
+        """Functions built of the model and the steps alone, once for all records."""
         if key not in self._built:
             self._built[key] = build()
         return self._built[key]

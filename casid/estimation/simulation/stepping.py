@@ -24,7 +24,7 @@ half as long as with CasADi's own ten, to run it 3 % longer."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepSymbols:
-    """What a step is an expression of.
+    """The symbols of which a step is an expression.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Step:
         self.machine_code = MachineCode(self._function, symbols.kept, symbols.banded)
 
     def constants(self, p: Array) -> Array:
-        """What the function takes in the place of all parameters `p` (np,)."""
+        """Constants that the function takes in the place of all parameters `p` (np,)."""
         return np.asarray(self._constants(np.asarray(p, dtype=float)), dtype=float).ravel()
 
     def block(self, n: int) -> tuple[int, Any, Any]:
@@ -157,7 +157,7 @@ class Stepping:
     def run(
         self, step: Step, start: Array, u: Array, after: Array, p: Array
     ) -> tuple[Array, Array, Array]:
-        """What is kept of the states after each sample (N, kept), outputs (N, ...), the last state.
+        """The states kept after each sample (N, kept), the outputs (N, ...) and the last state.
 
         Blocks keep the mapped functions few and small; CasADi reads and writes the arrays in place.
         Sensitivities of states are as many as those of outputs and more, and serve the next step
@@ -207,7 +207,7 @@ class Stepping:
         return states, outputs, state
 
     def places(self, u: Array, after: Array) -> Array:
-        """What every step takes as its place within a sample, (N, substeps, 1 + banded, 3)."""
+        """Place of every step within its sample, (N, substeps, 1 + banded, 3)."""
         out = np.empty((len(u), self.substeps, 1 + len(self.banded), 3))
         out[:, :, 0] = _triples(self._shares)
         for b, column in enumerate(self.banded):

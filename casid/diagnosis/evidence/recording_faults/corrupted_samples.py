@@ -27,7 +27,7 @@ from casid.model.model import Model
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorruptedSamples:
-    """What was left out."""
+    """Samples that were left out, and why."""
 
     spikes: tuple[Spikes, ...] = ()
     plateaus: tuple[Plateaus, ...] = ()
@@ -68,7 +68,7 @@ class _Simulated:
 
     @property
     def simulated_used(self) -> list[Array]:
-        """What was simulated at those samples, in the same units."""
+        """Simulated values at the samples that are left, in the units of `residuals`."""
         parts = zip(self.simulated, self.sizes, self.used, strict=True)
         return [(s / size)[u] for s, size, u in parts]
 

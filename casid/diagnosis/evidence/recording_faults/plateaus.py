@@ -152,7 +152,7 @@ def _error_size(errors: Sequence[Array], elsewhere: Sequence[Array]) -> float:
 
 
 def _independent(errors: Sequence[Array], elsewhere: Sequence[Array], at: Sequence[Array]) -> float:
-    """How many independent errors of the simulation the samples at the limit stand for.
+    """Number of independent simulation errors among the samples at the limit.
 
     The error of a model is slow: over one standstill it is one error, however many samples that
     has. The variance of the mean of n samples is that of one times (1 + 2 sum_k c_k rho_k / n) / n,
@@ -248,7 +248,7 @@ def _turns(
 
 
 def _equal_by_chance(longest: int, close: int, step: float, sd: float) -> float:
-    """How likely noise lets as many successive readings of a motion at rest round to one value.
+    """Probability that noise rounds as many successive readings at rest to one value.
 
     A reading whose mean lies in the middle of a step, where that is likeliest, rounds to it with
     the probability P(|sd z| < step / 2). The others of a run have to do so, or one other reading
@@ -259,7 +259,7 @@ def _equal_by_chance(longest: int, close: int, step: float, sd: float) -> float:
 
 
 def _ties(values: Array) -> float:
-    """How likely chance repeats the largest value as often, from the values next to it.
+    """Probability that chance repeats the largest value as often, from the values next to it.
 
     Repetitions are Poisson distributed where all values are as likely. A counted or rounded channel
     repeats the levels near which it stays and passes the others: then their mean varies, and they

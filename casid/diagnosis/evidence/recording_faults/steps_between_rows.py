@@ -41,7 +41,7 @@ class StepsBetweenRows:
 
     @property
     def note(self) -> str:
-        """What came between the rows, and how to record it instead."""
+        """A note on the steps between the rows, and on how to record them."""
         low, high = np.quantile(np.clip(self.shares, 0.0, 1.0), [0.05, 0.95])
         return (
             f"the steps of {self.channel} came between its rows, {low:.2f} to {high:.2f} of an "
@@ -129,7 +129,7 @@ def _steps_of(d: Signals, i: int, name: str) -> Array:
 
 
 def _signatures(fit: Fit, e: int, d: Signals, i: int, rows: Array) -> list[Array]:
-    """What the outputs (N, ny) do where each step comes one interval before its row."""
+    """Change of the outputs (N, ny) if a step comes one interval before its row, for each step."""
     outputs, x = outputs_by(fit, d, e), fit.criterion.simulated(fit.x, e).x
     out = []
     for k in rows.tolist():

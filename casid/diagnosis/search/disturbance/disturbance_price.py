@@ -46,7 +46,7 @@ def as_white(fit: Fit) -> float:
 
 
 def price_of(cost: int, samples: int, tested: int) -> float:
-    """What the extended BIC charges an effect, in units of twice the log-likelihood.
+    """Penalty of an effect by the extended BIC, in units of twice the log-likelihood.
 
     Parameters
     ----------

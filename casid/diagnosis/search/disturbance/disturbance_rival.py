@@ -265,7 +265,7 @@ def _errors(before: Fit, after: Fit, split: Split) -> tuple[SimulationErrors, Si
 
 
 def _significant(found: Adoption, bare: Weighted, search: Search, start: Weighted) -> Adoption:
-    """What was found, if it is significant against disturbances alone; else `start`."""
+    """The causes found, if significant against disturbances alone; else `start` without causes."""
     charged = _charged(found, bare, search)
     if not charged.adopted or _is_significant(charged, search):
         return charged
@@ -280,7 +280,7 @@ def _is_significant(found: Adoption, search: Search) -> bool:
 def _charged(
     found: Adoption, bare: Weighted, search: Search, beside: float | None = None
 ) -> Adoption:
-    """What was found, no p smaller than that of all of it against a disturbance in its place.
+    """The causes found, their p-values at least that of all against a disturbance instead.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ def _score(
 
 
 def _charge(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
-    """What effects that were chosen among all that were tested are charged in it, and disturbances.
+    """Penalty of effects chosen among all that were tested, and of disturbances.
 
     A disturbance has parameters as well: its variance, and those of its spectrum. A band narrower
     than a record resolves would otherwise be preferred to the line that it is there.

@@ -40,7 +40,7 @@ class EffectsBesideDisturbance:
 def seen_beside_disturbance(
     search: Search, baseline: Baseline, settings: DiagnosisSettings
 ) -> EffectsBesideDisturbance | None:
-    """What is seen beside a disturbance, if it is little and pays for itself there.
+    """Effects that are significant beside a disturbance, if they are few and worth their penalty.
 
     None where the sensors' noise holds no misfit, where no disturbance is likelier than that noise,
     or where many effects are seen beside it.

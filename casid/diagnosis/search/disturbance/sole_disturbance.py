@@ -43,7 +43,7 @@ from casid.model.effects.search_ranges import PARAMETER_JUMPS, PERIODIC_FORCES
 def sole_disturbance(
     search: Search, start: Weighted, base: Fit, adopted: Sequence[Candidate] = ()
 ) -> Weighted | None:
-    """A model under the disturbance that is all it leaves; None where more is left.
+    """The model under a disturbance that explains its whole misfit; None where more is left.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def pays_beside(search: Search, at: Weighted, table: ScoreTable) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Gains:
-    """What effects gain beside the disturbance of a model.
+    """Gains in likelihood of effects in a model under a disturbance.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class _Gains:
 
     @classmethod
     def of(cls, search: Search, bare: Weighted) -> _Gains:
-        """The gains of effects in a model under a disturbance."""
+        """The gains in a model under a disturbance, at its likeliest point."""
         at = replace(bare, fit=bare.unbiased or bare.fit)
         plain = replace(at.fit, criterion=unwhitened(at))
         return cls(search.weighing.known_noise, bare, at, plain)

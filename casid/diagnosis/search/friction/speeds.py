@@ -90,7 +90,7 @@ def sharper(
 
 
 def _finer(found: Candidate) -> int:
-    """How many times finer steps the record is short enough for."""
+    """Factor by which integration steps can be finer in a record of this length."""
     criterion = found.fit.criterion
     steps = criterion.substeps * sum(d.N for d in criterion.data)
     return int(np.clip(FRICTION.samples // steps, 1, FRICTION.finer))
@@ -153,7 +153,7 @@ def _rise(old: Fit, new: Fit) -> float:
 
 
 def _of_rounding(fit: Fit, other: Fit, fall: float) -> dict[str, float]:
-    """What the smoothing speed, by its own standard deviation, moves the estimates by.
+    """Change of the estimates with one standard deviation of the smoothing speed.
 
     By how much half or twice the speed moves them: the estimates are linear in the speed. Where the
     likelihood falls, the logarithm of the speed is as uncertain as that says; where it does not,

@@ -165,7 +165,7 @@ class _Instant:
     between: tuple[float, float]
 
     def step(self, model: Model, later: float) -> Effect:
-        """What sets in that much later [s], and stays."""
+        """The cause as a lasting change that sets in `later` [s] after the instant."""
         return at_instant(self.cause.candidate.effect, model, self.time + later)
 
     def size(self, fit: Fit) -> float:

@@ -70,7 +70,7 @@ def _between(
 
 
 def placed_by_tangents(at: Weighted, effect: Effect) -> Effect:
-    """What sets in, at the instant that leaves least, or between two of them, without a refit.
+    """An effect at the instant, or between the two instants, of least misfit, without a refit.
 
     By its tangents at a fit without it, to a part of a sample.
     """
@@ -108,7 +108,7 @@ def _best_pair(
 
 
 def _reaches(at: Weighted) -> Iterator[float]:
-    """How far on either side of an instant it is scanned [s], ever finer, to parts of a sample."""
+    """Distances [s] scanned on either side of an instant, ever finer, to parts of a sample."""
     start, stop = window_of(at)
     Ts = min(d.Ts for d in at.criterion.data)
     reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)

@@ -54,7 +54,7 @@ class PredictionErrors:
 
     @property
     def n_constraints(self) -> int:
-        """None of its own."""
+        """Number of constraints of its own: none."""
         return 0
 
     @property
