@@ -193,7 +193,7 @@ class _RankTests:
         )
 
     def _rank(self, model: Model) -> Observability | None:
-        """The observability rank; None if not found in time, or of equations that cannot be read."""
+        """The observability rank; None if not found in time, or if equations cannot be read."""
         try:
             systems = translated(model, self.experiments, use_samples=False).systems
             found = observability(systems, time_limit=PLANNING.rank_limit, error_bound=1e-9)

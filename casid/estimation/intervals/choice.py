@@ -1,6 +1,6 @@
 """Which kind of interval each unknown has, by a stated rule.
 
-"auto": normal where the criterion is as good as a parabola (`quadratic_test`), by the profile of
+"auto": normal where the criterion is as good as a parabola (`quadratic_check`), by the profile of
 the criterion where it is not. "quick": normal for all, "profile" for all parameters, "bootstrap"
 for all unknowns.
 """
@@ -20,7 +20,7 @@ from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.intervals.bootstrap import Bootstrapped, bootstrapped
 from casid.estimation.intervals.profile import ProfileInterval, profile_interval
-from casid.estimation.intervals.quadratic_test import NotQuadratic, why_not_quadratic
+from casid.estimation.intervals.quadratic_check import NotQuadratic, why_not_quadratic
 from casid.estimation.intervals.scaled_criterion import (
     Minimum,
     ScaledCriterion,

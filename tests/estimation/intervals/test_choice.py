@@ -13,7 +13,7 @@ import casid
 from casid import time_limit
 from casid.cli.main import main
 from casid.estimation.intervals import choice
-from casid.estimation.intervals.quadratic_test import NotQuadratic
+from casid.estimation.intervals.quadratic_check import NotQuadratic
 from casid.identification.identify import identify
 from casid.presentation import present
 from problems import roll_decay

@@ -1,4 +1,4 @@
-"""Is the criterion the parabola that a normal interval takes it for?
+"""Whether the criterion is a parabola near its minimum, as a normal interval assumes.
 
 It is evaluated two standard errors to either side of the estimate, along the direction in which the
 other unknowns follow, and from there with a Gauss-Newton step of these: to second order its value
