@@ -1,26 +1,27 @@
-"""Whether what was found are causes, or what a random disturbance leaves as well.
+"""Whether the effects found are causes, or a random disturbance explains the misfit as well.
 
-Where sensors and measured inputs leave much unexplained, the search takes no misfit for noise: it
-finds causes even where they are large, and imitations of what a sea or a road moves. Its causes are
-therefore compared with a disturbance in their place, and with those of a second search in which
-disturbances with spectra of their own count as noise. Each model is fitted under the disturbance
-that its own residual shows. The likelihoods decide; causes, the best of all that were tested, are
-charged for that choice as well (extended BIC: Chen and Chen, Biometrika 95 (2008) 759-771).
+Where the noise of sensors and measured inputs explains little of the residual, the search takes no
+misfit for noise: it finds causes even if they are large, and also effects that imitate the motion
+by a sea or a road. Its causes are therefore compared with a disturbance in their place, and with
+those of a second search in which disturbances with spectra of their own count as noise. Each model
+is fitted under the disturbance that its own residual shows. The likelihoods decide; causes are the
+best of many tested, and are penalised for that choice as well (extended BIC: Chen and Chen,
+Biometrika 95 (2008) 759-771).
 
-A disturbance is an explanation only where the residual under it is one: stationary, and dependent
-on no state or input.
+A disturbance is an explanation only if the residual under it is stationary, and depends on no state
+or input.
 
-A disturbance is another one in what was held out: it explains nothing that causes foresee there
-(`is_predicted`). Where causes foresee all but a little, and that is no disturbance either, nothing
-is sought beside one.
+The held-out part has another realisation of a disturbance, which therefore explains nothing that
+causes predict there (`is_predicted`). Where causes predict nearly all of it, and the rest is no
+disturbance, no second search is made.
 
-Of several causes each is compared with a disturbance in its place beside the others: the first may
-be a law, and the next what the disturbance leaves of it. Where a disturbance is left, the extended
-model has it `beside`, and rivals are compared by the likelihoods there.
+Of several causes, each is compared with a disturbance in its place beside the others: the first may
+be a law, and the second an imitation of the disturbance. Where a disturbance remains, the extended
+model has it as `beside`, and rivals are compared by their likelihoods there.
 
-The p of what was found under the sensors' noise alone is that of no disturbance at all: in a sea it
-is as small as the sea is large. No cause is therefore more significant than all of them are
-together against a disturbance in their place (Wilks 1938; Bonferroni over what was tested).
+p-values under the noise of sensors alone assume that there is no disturbance: in a sea they are as
+small as the sea is large. The p-value of a cause is therefore at least that of all causes together
+against a disturbance in their place (Wilks 1938; Bonferroni over the effects tested).
 """
 
 from __future__ import annotations
@@ -64,13 +65,13 @@ RANDOM = "an unrecorded random disturbance explains the misfit as well"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beside:
-    """A search beside the disturbances of a model.
+    """The result of a search with disturbances in the noise of the model.
 
     Attributes
     ----------
-    of : the model as it is, under the disturbance beside which effects were sought.
-    found, score : what was found, and its score; infinite where nothing was.
-    bare : the model as it is, in any disturbance that the causes leave.
+    of : the model without causes, under the disturbance beside which effects were sought.
+    found, score : the causes found, and their score; infinite where there are none.
+    bare : the model without causes, under the disturbance that the causes leave.
     """
 
     search: Search
@@ -92,10 +93,10 @@ def weighed_against_disturbances(
     settings: DiagnosisSettings,
     before: Beside | None = None,
 ) -> tuple[Search, Weighted, Adoption]:
-    """The search, the model as it is, and what was found, that are likeliest beside disturbances.
+    """The likeliest explanation with disturbances: its search, model without causes, and causes.
 
-    The same as given where nothing looks like a disturbance, or a parameter is held at its
-    bound under a disturbance, too: that leaves misfit of its own.
+    Those given where nothing looks like a disturbance, or a bound holds a parameter under a
+    disturbance, too, which leaves misfit of its own.
 
     Parameters
     ----------
@@ -178,9 +179,10 @@ def searched_beside(
 
 
 def leaves_only_disturbance(search: Search, beside: Beside) -> bool:
-    """True if a random disturbance is all that the causes found beside one leave.
+    """True if a random disturbance explains all that the causes of a second search do not.
 
-    What a search under the sensors' noise would find besides would pay for itself there.
+    Any further effect that a search under the sensors' noise finds would raise the likelihood there
+    by more than its penalty.
     """
     fit = beside.found.fit
     if fit is None or not beside.is_likelier:
@@ -193,11 +195,11 @@ def leaves_only_disturbance(search: Search, beside: Beside) -> bool:
 def minus_log_likelihood_beside(
     weighing: Weighing, found: Adoption, own: Weighted, bare: Weighted
 ) -> float:
-    """Minus the log-likelihood of the extended model under what is left for a disturbance.
+    """Minus the log-likelihood of the extended model under the disturbance that remains.
 
-    It has the model as it is (`bare`) in it, and is no less likely: where the disturbance that its
-    own residual suggests (`own`) leads elsewhere, it is what the effects gain under that of the
-    model as it is, fitted from where they do nothing.
+    The model without causes (`bare`) is a special case of it, and can be no likelier. Where the fit
+    under the disturbance of its own residual (`own`) is less likely all the same, the gain of the
+    effects under the disturbance of `bare` counts, fitted from their null values.
     """
     of = bare.criterion
     if not bare.noise.spectra:

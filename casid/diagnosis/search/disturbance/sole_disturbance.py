@@ -1,12 +1,12 @@
-"""Whether a random disturbance is all that a model leaves: then no cause has to be sought.
+"""Whether a random disturbance explains the whole misfit: then no cause has to be sought.
 
-A search beside a sea finds many effects that imitate it, refits them, and refuses them all against
-the disturbance in their place. Three checks predict that: the residual under the disturbance is
-random, and none of the effects that score best, beside it or under the sensors' noise, lets the
-disturbance explain so much less that its likelihood would pay for it. An effect that by its score
-explains most of the misfit is refitted beside the disturbance; where one scores beside it all the
-same, or the model errs by many times the sensors' noise, so that tangents say little, all that
-score best are.
+A search in a record with waves, say, finds many effects that imitate them, refits them, and refuses
+them all against a disturbance in their place. Three checks predict that without the search: the
+residual under the disturbance is random, and none of the effects that score best, with the
+disturbance or under the sensors' noise alone, raises the likelihood with the disturbance by more
+than its penalty. An effect that by its score explains most of the misfit is refitted beside the
+disturbance. All that score best are, if one is significant there, or if the model errs by many
+times the sensors' noise, where linearised scores are inexact.
 """
 
 from __future__ import annotations
