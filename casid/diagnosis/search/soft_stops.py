@@ -1,9 +1,9 @@
 """Stops that are far softer than the spring beside them.
 
-Mostly that is what a spring that hardens looks like, as the righting arm of a ship does. A stop has
-a corner, where its force begins: it is likelier than the same stop with a corner that is rounded,
-and than all other laws of its place. While the noise model absorbs the misfit of something else, a
-corner may repair that: such a stop is a cause only where it leaves noise alone.
+Usually such a stop imitates a spring that hardens, like the righting arm of a ship. A real stop has
+a corner where its force begins: it is likelier than the same stop with a rounded corner, and than
+all other laws of its place. While the noise model absorbs the misfit of something else, a corner
+may compensate that: such a stop is a cause only if the residual with it is noise alone.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Functions without a name that explain the misfit as well as what was named, or better.
 
-A cause that is not in the catalogue may lie so near to one that is that no remainder shows it.
-The record may still say that a function which the catalogue does not have explains as much. Every
-function of states, inputs, channels and time (`functions`) is therefore compared with the causes
-that were adopted, on the model as it was, by
+A cause that is not in the catalogue may lie so near to one that is that no remainder shows it. The
+record may still say that a function which the catalogue does not have explains as much. Every
+function of states, inputs, channels and time (`candidate_functions`) is therefore compared with the
+causes that were adopted, on the baseline, by
 
     gain - k log N                                                                             (1)
 

@@ -1,10 +1,10 @@
-"""What is seen beside a random disturbance before anything is sought under the sensors' noise.
+"""Effects that are significant beside a random disturbance: the first candidates for a cause.
 
-Under the sensors' noise a large misfit shows in the scores of everything that acts where it does:
-dozens of effects are refitted, and laws that imitate the cause explain parts of it, one after the
-other. A disturbance explains the misfit of most of them as well. What is seen beside it is the
-cause, or looks like it in the records; and if the disturbance is gone with it, nothing else has to
-be refitted for the first cause.
+Under the sensors' noise a large misfit raises the scores of all effects that act in the same place:
+dozens are refitted, and laws that imitate the cause explain parts of it one after the other. A
+disturbance explains the misfit of most of them as well. An effect that is significant beside it is
+the cause, or looks like the cause in these records; and if no disturbance is needed with it,
+nothing else has to be refitted for the first cause.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from casid.estimation.simulation.minimization import Fit
 
 @dataclass(frozen=True, slots=True)
 class EffectsBesideDisturbance:
-    """The few effects that are seen beside a disturbance, as refitted there.
+    """The few effects that are significant beside a disturbance, as refitted there.
 
     Attributes
     ----------

@@ -1,7 +1,8 @@
 """Dry friction among the adopted causes, as sharp as the whole records show.
 
-A reversal that is too blunt or too sharp is made up for by what is not there: Stribeck's friction,
-a sensor's scale. Where the reversal was placed beside Stribeck's friction, each keeps the other.
+Effects that are not there compensate a reversal that is too blunt or too sharp: Stribeck's
+friction, a wrong scale of a sensor. Where the sharpness was estimated together with Stribeck's
+friction, neither looks superfluous: dry friction of another sharpness is tried without it.
 """
 
 from __future__ import annotations
