@@ -28,7 +28,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import mannwhitneyu, norm
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, BoolArray
 from casid.diagnosis.thresholds import OUTLIERS
 
 
@@ -82,30 +82,17 @@ def find_spikes(
     if not long:
         return None
     sds = [_scale(d) for d in differences]
+    largest = max(_largest(d) / s for d, s in zip(long, map(_scale, long), strict=True))
+    p = min(2 * total * float(norm.sf(largest)), 1.0)
     threshold = float(norm.isf(alpha / (2 * total)))
-    p = min(
-        2
-        * total
-        * float(
-            norm.sf(max(_largest(d) / s for d, s in zip(long, map(_scale, long), strict=True)))
-        ),
-        1.0,
-    )
     together = np.concatenate([d[1:-1] / s for d, s in zip(differences, sds, strict=True) if s > 0])
-    fourth = fourth_moment_p_value(together)
+    fourth = fourth_moment_deviate(together)
     if _is_white(differences) and float(norm.sf(fourth)) < alpha:
         cut = _mixture_cut(together, largest_share)
         if cut is not None:
             threshold = min(threshold, cut)
             p = min(p, float(norm.sf(fourth)))
-    masks = []
-    for d, sd in zip(differences, sds, strict=True):
-        mask = np.zeros(len(d), dtype=bool)
-        # A spike's neighbours show half of it, with the other sign: keep the tops only.
-        for k in np.flatnonzero(np.abs(d) > threshold * sd).tolist() if sd > 0 else ():
-            is_top = np.abs(d[k]) >= np.abs(d[k - 1 : k + 2]).max()
-            mask[k] = is_top and _stands_alone(d, k, sd)
-        masks.append(mask)
+    masks = [_tops(d, sd, threshold) for d, sd in zip(differences, sds, strict=True)]
     for mask, response in zip(masks, _responses(masks, inputs, alpha), strict=False):
         mask &= ~response
     for mask, d, y in zip(masks, differences, simulated, strict=False):
@@ -147,6 +134,18 @@ def starts_apart(residual: Array, alpha: float) -> bool:
     # Differences of two samples have 2 variances, those from two neighbours 1.5.
     limit = float(norm.isf(alpha / (2 * len(residual)))) * sd * np.sqrt(2 / 1.5)
     return bool(first > limit and second < OUTLIERS.neighbours[1] * first)
+
+
+def _tops(d: Array, sd: float, threshold: float) -> BoolArray:
+    """Samples (N,) at which d exceeds `threshold` standard deviations, one a spike.
+
+    A spike's neighbours show half of it, with the other sign: they are left out.
+    """
+    mask = np.zeros(len(d), dtype=bool)
+    for k in np.flatnonzero(np.abs(d) > threshold * sd).tolist() if sd > 0 else ():
+        is_top = np.abs(d[k]) >= np.abs(d[k - 1 : k + 2]).max()
+        mask[k] = is_top and _stands_alone(d, k, sd)
+    return mask
 
 
 def _is_of_model(d: Array, of_model: Array, threshold: float) -> Array:
@@ -232,8 +231,8 @@ def _scale(d: Array) -> float:
     return max(mad, spread, TINY)
 
 
-def fourth_moment_p_value(h: Array) -> float:
-    """(2) of (1), the variance of the differences taken from themselves."""
+def fourth_moment_deviate(h: Array) -> float:
+    """The standard normal deviate (2) of (1), scaled by the variance of the differences."""
     n = len(h) / (1 + 2 * (2 / 3) ** 4 + 2 * (1 / 6) ** 4)  # of independent ones, as uncertain
     kurtosis = float(np.mean(h**4) / max(float(np.mean(h**2)), TINY) ** 2)
     mean, variance = 3 * (n - 1) / (n + 1), 24 * n * (n - 2) * (n - 3) / (n + 1) ** 2

@@ -25,7 +25,7 @@ from casid.diagnosis.evidence.recording_faults.corrupted_samples import (
 )
 from casid.diagnosis.evidence.recording_faults.spikes import (
     find_spikes,
-    fourth_moment_p_value,
+    fourth_moment_deviate,
     from_neighbours,
     starts_apart,
 )
@@ -63,7 +63,7 @@ def test_the_fourth_moment_of_normal_noise_is_standard_normal():
     """400 records: mean and variance within four of their standard errors, and the rate at 5 %."""
     z = np.array(
         [
-            fourth_moment_p_value(
+            fourth_moment_deviate(
                 from_neighbours(np.random.default_rng(s).standard_normal(4000))[1:-1]
             )
             for s in range(400)
@@ -82,7 +82,7 @@ def test_a_short_record_has_large_fourth_moments_as_often_as_their_level_says():
     """
     rng = np.random.default_rng(0)
     d = np.array([from_neighbours(r)[1:-1] for r in rng.standard_normal((8000, 600))])
-    assert sum(fourth_moment_p_value(each) > norm.isf(0.001) for each in d) < 24
+    assert sum(fourth_moment_deviate(each) > norm.isf(0.001) for each in d) < 24
 
 
 def test_normal_noise_has_no_outliers_more_often_than_alpha():
@@ -100,7 +100,7 @@ def test_noise_that_is_not_normal_is_not_taken_for_a_few_errors():
         rng = np.random.default_rng(seed)
         changing = (1 + 0.5 * np.sin(k / 300)) * rng.standard_normal(6000)
         for r in (rng.laplace(size=6000), changing):
-            assert fourth_moment_p_value(from_neighbours(r)[1:-1]) > 5.0
+            assert fourth_moment_deviate(from_neighbours(r)[1:-1]) > 5.0
             found = find_spikes("y", [r], ALPHA)
             # Single samples may exceed the normal threshold; the many that are merely large may not
             # be left out.
@@ -116,7 +116,7 @@ def test_one_per_cent_of_errors_of_four_standard_deviations_is_found():
     found, hits, false = [], 0, 0
     for seed in range(20):
         r, at = spoilt(seed)
-        assert fourth_moment_p_value(from_neighbours(r)[1:-1]) > 7.0
+        assert fourth_moment_deviate(from_neighbours(r)[1:-1]) > 7.0
         spikes = find_spikes("y", [r], ALPHA)
         if spikes is None or spikes.p_value > 1e-6:
             continue  # single ones, or a mixture that cannot be told from a heavy tail
