@@ -13,7 +13,7 @@ from casid.argument_types import names_wrong_types
 from casid.arrays import FloatArray
 from casid.data.channel_quality import ChannelCheck, channel_quality
 from casid.data.findings import Finding
-from casid.data.reading.clocks import UNIFORM
+from casid.data.reading.clocks.even_clock import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.file_format import FileFormat

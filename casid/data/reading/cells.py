@@ -10,13 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import FloatArray
-from casid.data.reading.clock_numbers import day_numbers, of_clock_numbers
-from casid.data.reading.columns import CLOCK_FORMATS, ColumnSpec
-from casid.data.reading.faults import Fault, Survey
-from casid.data.reading.layout import NO_VALUE
-from casid.data.reading.number_marks import Evidence, decimal_mark, plain_number
-from casid.data.reading.tables import Table
-from casid.data.reading.time_stamps import (
+from casid.data.reading.clocks.clock_numbers import day_numbers, of_clock_numbers
+from casid.data.reading.clocks.time_stamps import (
     DAY,
     Stamps,
     of_dates,
@@ -24,6 +19,11 @@ from casid.data.reading.time_stamps import (
     of_stamps,
     of_times_of_day,
 )
+from casid.data.reading.columns import CLOCK_FORMATS, ColumnSpec
+from casid.data.reading.faults import Fault, Survey
+from casid.data.reading.layout import NO_VALUE
+from casid.data.reading.number_marks import Evidence, decimal_mark, plain_number
+from casid.data.reading.tables import Table
 from casid.errors import DataError
 from casid.model.units import to_si
 

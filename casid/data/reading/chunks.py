@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.cells import non_finite, numbers_of, times_of
-from casid.data.reading.clocks import GAP, UNIFORM, time_faults
+from casid.data.reading.clocks.even_clock import GAP, UNIFORM, time_faults
 from casid.data.reading.columns import Columns, Time, resolve
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.file_format import FileFormat

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import FloatArray
 from casid.data.reading.cells import numbers_of, stands_for_none
-from casid.data.reading.clocks import jitter_text
+from casid.data.reading.clocks.even_clock import jitter_text
 from casid.data.reading.columns import ColumnSpec, is_dated, time_unit, unit_of_column
 from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.tables import Table

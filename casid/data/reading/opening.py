@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from casid.data.reading.file_format import FileFormat
-from casid.data.reading.parquet_table import ParquetTable
+from casid.data.reading.formats.parquet_table import ParquetTable
+from casid.data.reading.formats.text_table import TextTable
 from casid.data.reading.tables import Table
-from casid.data.reading.text_table import TextTable
 from casid.errors import CasidError, DataError
 
 _SUFFIXES = (
@@ -91,7 +91,7 @@ def open_table(path: str | Path, form: FileFormat | None = None) -> Table:
     reader = _READERS[kind]
     if reader.extra:
         require_package(reader.package, reader.extra, path.name)
-    module = importlib.import_module(f"casid.data.reading.{reader.module}")
+    module = importlib.import_module(f"casid.data.reading.formats.{reader.module}")
     try:
         table: Table = module.open_file(path, form)
     except (CasidError, MemoryError, ImportError):

@@ -11,15 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
-from casid.data.reading.absent_rows import EvenClock, even_clock
 from casid.data.reading.cells import non_finite, numbers_of, stands_for_none, times_of
-from casid.data.reading.clocks import (
+from casid.data.reading.clocks.absent_rows import EvenClock, even_clock
+from casid.data.reading.clocks.even_clock import (
     UNIFORM,
     jitter_text,
     repeated_rows,
     time_faults,
     window_rows,
 )
+from casid.data.reading.clocks.resampling import resampled
+from casid.data.reading.clocks.several_clocks import UnitedTable, on_one_clock, united_rows
+from casid.data.reading.clocks.unit_of_time import assumed_seconds
 from casid.data.reading.column_survey import column_surveys
 from casid.data.reading.columns import (
     Columns,
@@ -31,14 +34,11 @@ from casid.data.reading.columns import (
 )
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.file_format import FileFormat
+from casid.data.reading.formats.text_table import NO_NAMES
 from casid.data.reading.header_units import header_unit
 from casid.data.reading.opening import open_table
-from casid.data.reading.resampling import resampled
-from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_rows
 from casid.data.reading.sources import sha256, source_of
 from casid.data.reading.tables import Table
-from casid.data.reading.text_table import NO_NAMES
-from casid.data.reading.unit_of_time import assumed_seconds
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
 from casid.model.quantities import count_text, window_text

@@ -16,7 +16,7 @@ import numpy as np
 
 from casid.arrays import FloatArray
 from casid.data.reading.cells import numbers_of
-from casid.data.reading.clocks import UNIFORM
+from casid.data.reading.clocks.even_clock import UNIFORM
 from casid.data.reading.columns import ColumnSpec, unit_of_column
 from casid.data.reading.faults import Survey
 from casid.data.reading.tables import Table

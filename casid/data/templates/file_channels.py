@@ -14,13 +14,13 @@ import numpy as np
 
 from casid.arrays import FloatArray
 from casid.data.held_signals import is_held, is_switched
+from casid.data.reading.clocks.unit_of_time import is_open
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.header_units import header_unit, likely_reading
 from casid.data.reading.sources import source_of
 from casid.data.reading.survey import ReadingOptions, survey
-from casid.data.reading.unit_of_time import is_open
 from casid.data.record import Record
 from casid.errors import DataError, nearest
 from casid.model.quantities import window_text

@@ -11,7 +11,7 @@ from casid.arrays import Array
 from casid.data.channel_quality import stuck_channels
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.reading.unit_of_time import is_open
+from casid.data.reading.clocks.unit_of_time import is_open
 from casid.estimation.estimate import Agreement, Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
 from casid.estimation.fit_statistics import nrmse_fit, rms

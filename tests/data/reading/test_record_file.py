@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from casid.data.quality import check
 from casid.data.reading.chunks import iter_chunks
-from casid.data.reading.clocks import time_faults
+from casid.data.reading.clocks.even_clock import time_faults
+from casid.data.reading.clocks.resampling import resample
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.header_units import header_unit
 from casid.data.reading.record_file import column_names, read_record
-from casid.data.reading.resampling import resample
 from casid.data.reading.sources import parse_case, parse_source, parse_window
 from casid.data.reading.survey import survey
 from casid.errors import DataError, UnitError

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.data.reading.groups import Group
+from casid.data.reading.formats.groups import Group
 
 
 def groups_of(

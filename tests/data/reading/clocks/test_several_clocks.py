@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.data.reading.absent_rows import SHORT, even_clock
+from casid.data.reading.clocks.absent_rows import SHORT, even_clock
 from casid.errors import DataError
 
 SPAN = 40.0  # s

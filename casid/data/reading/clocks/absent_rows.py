@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
-from casid.data.reading.clocks import OFF_GRID, jitter_text
+from casid.data.reading.clocks.even_clock import OFF_GRID, jitter_text
 from casid.data.sampling import gaps_of
 from casid.model.quantities import are
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from casid.data.reading.file_format import FileFormat
-from casid.data.reading.groups import chosen_table
-from casid.data.reading.numeric_variables import groups_of
+from casid.data.reading.formats.groups import chosen_table
+from casid.data.reading.formats.numeric_variables import groups_of
 from casid.data.reading.tables import Table
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from casid.data.reading.file_format import FileFormat
-from casid.data.reading.groups import Group, chosen_table
+from casid.data.reading.formats.groups import Group, chosen_table
 from casid.data.reading.tables import Table
 
 

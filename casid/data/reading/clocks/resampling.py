@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casid.arrays import BoolArray, FloatArray
-from casid.data.reading.clocks import GAP, UNIFORM
+from casid.data.reading.clocks.even_clock import GAP, UNIFORM
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.model.quantities import count_text

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.cells import times_of
-from casid.data.reading.clocks import UNIFORM
+from casid.data.reading.clocks.even_clock import UNIFORM
 from casid.data.reading.columns import ColumnSpec, Time, is_time_name, time_unit, unit_of_column
 from casid.data.reading.faults import Survey
 from casid.data.reading.layout import NO_VALUE

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import FloatArray
-from casid.data.reading.clocks import UNIFORM
+from casid.data.reading.clocks.even_clock import UNIFORM
 from casid.data.reading.file_format import ORDERS, FileFormat
 from casid.data.reading.layout import MONTH, WEEKDAY
 from casid.errors import DataError

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casid.arrays import FloatArray
-from casid.data.reading.clocks import UNIFORM
-from casid.data.reading.time_stamps import DAY, Stamps
+from casid.data.reading.clocks.even_clock import UNIFORM
+from casid.data.reading.clocks.time_stamps import DAY, Stamps
 from casid.model.quantities import count_text
 
 if TYPE_CHECKING:
