@@ -93,19 +93,10 @@ class Judgement:
 
 def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgement:
     """Name the causes, compute how much they explain, and decide."""
-    base_fit, extended_fit, start = found.base_fit, found.extended_fit, found.baseline
-    attempt = found.search.attempts.attempt
-    own = found.corrected if extended_fit is None else None
-    own_fit = own.fit if own is not None else base_fit
-    baseline = estimate_of(
-        problem, own_fit, validation(own_fit, start.recorded), bars=bars_of(own_fit, own)
-    )
+    start, attempt = found.baseline, found.search.attempts.attempt
+    baseline = _baseline(problem, found)
     extended = _extended(problem, found, baseline)
-    remainder = None
-    if not start.why_undecided:
-        found.search.progress("test the residual")
-        test = partial(tested_remainder, found.at, found.search, found.adopted)
-        remainder = attempt("the test of the remainder", test)
+    remainder = _tested(found)
     disturbances = remainder.disturbances if remainder is not None else ()
     # Causes found under a disturbance explain what it leaves.
     is_disturbed = bool(disturbances) or bool(found.adopted and found.at.noise.spectra)
@@ -158,7 +149,9 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         ranking=ranking(found.search, found.adopted, causes),
         baseline=baseline,
         extended=extended,
-        records=views(base_fit, extended_fit, start.split, start.recorded, start.negated),
+        records=views(
+            found.base_fit, found.extended_fit, start.split, start.recorded, start.negated
+        ),
         fitted=fitted,
         held_out=held,
         moved=moved_parameters(baseline, extended) if extended is not None else (),
@@ -166,6 +159,23 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         remainder=remainder,
         doubts=doubts,
     )
+
+
+def _baseline(problem: Problem, found: Findings) -> Estimate:
+    """The estimate of the model without causes; without input bias if it is the final model."""
+    own = found.corrected if found.extended_fit is None else None
+    fit = own.fit if own is not None else found.base_fit
+    valid = validation(fit, found.baseline.recorded)
+    return estimate_of(problem, fit, valid, bars=bars_of(fit, own))
+
+
+def _tested(found: Findings) -> Remainder | None:
+    """The remainder, tested; None where the diagnosis is undecided from the start."""
+    if found.baseline.why_undecided:
+        return None
+    found.search.progress("test the residual")
+    test = partial(tested_remainder, found.at, found.search, found.adopted)
+    return found.search.attempts.attempt("the test of the remainder", test)
 
 
 def _extended(problem: Problem, found: Findings, baseline: Estimate) -> Estimate | None:
