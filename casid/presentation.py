@@ -31,7 +31,7 @@ def present(result: object, form: str, *arguments: Any, **settings: Any) -> Any:
 
 
 class Viewed:
-    """What notebooks display with what `casid.report` makes of it."""
+    """A result that notebooks display by the view that `casid.report` makes of it."""
 
     __slots__ = ()
 

@@ -17,7 +17,7 @@ Matrices = tuple[Array, Array, Array, Array]
 
 
 class TransferFunctions(Protocol):
-    """What is read of a `RationalMatrix`."""
+    """The attributes of a `RationalMatrix` that a realisation needs."""
 
     @property
     def rows(self) -> tuple[tuple[Rational, ...], ...]:

@@ -19,7 +19,7 @@ MANIFEST = "campaign.json"
 def manifest_of(
     function: Any, seed: int, settings: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """What the rows of a campaign depend on, as `campaign.json` has it."""
+    """All that the rows of a campaign depend on, as `campaign.json` holds it."""
     from casid.versions import versions
 
     own = {**_settings_of(function), **(settings or {})}
@@ -33,7 +33,7 @@ def manifest_of(
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """What the campaign in `folder` is, None where there is none.
+    """The manifest of the campaign in `folder`, None where there is none.
 
     Raises
     ------

@@ -62,7 +62,7 @@ ASSUMPTION_OPTIONS = (
         help="Treat known parameters of the model as arbitrary numbers instead of their values.",
     ),
 )
-"""What is assumed."""
+"""The assumptions of the assessment."""
 
 QUESTION_OPTIONS = (
     click.option(
@@ -118,7 +118,7 @@ class Question:
             raise DataError("--time-limit nan: give a number of seconds")
 
     def assumptions(self) -> Assumptions:
-        """What is assumed.
+        """The assumptions of the assessment.
 
         Raises
         ------

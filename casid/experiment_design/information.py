@@ -29,7 +29,7 @@ from casid.model.expressions import parse
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What is scored of one comparison.
+    """The quantity scored in one comparison: a misfit energy, or a measure of the covariance.
 
     Attributes
     ----------

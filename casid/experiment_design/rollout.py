@@ -25,7 +25,7 @@ from casid.experiment_design.step import Branch, Step, step_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outputs:
-    """What is summed and limited.
+    """Information and limited signals of a simulation.
 
     Attributes
     ----------

@@ -74,7 +74,7 @@ class ParameterValue:
 
 @dataclass(frozen=True, slots=True)
 class Screened:
-    """What the screening says of a record.
+    """The outcome of the screening for one record.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Screened:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Screen:
-    """What screens the records of one asset.
+    """The screening of the records of one asset, against one fitted record.
 
     Attributes
     ----------

@@ -158,7 +158,7 @@ def _send(stream: IO[bytes], content: bytes) -> None:
 
 
 def _frames(stream: IO[bytes]) -> Iterator[bytes]:
-    """What is sent, until the other side ends."""
+    """The messages sent, until the other side ends."""
     with contextlib.suppress(OSError, ValueError):
         while len(head := stream.read(_LENGTH.size)) == _LENGTH.size:
             (length,) = _LENGTH.unpack(head)

@@ -37,7 +37,7 @@ from casid.model.units import difference_to_si
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MonitoredParameters:
-    """What may change, and what is known, in the units that the model declares.
+    """The parameters that may change and the known ones, in the units that the model declares.
 
     Attributes
     ----------

@@ -101,7 +101,7 @@ def _require_sound(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Task:
-    """What all rows share."""
+    """The arguments that all rows of the table share."""
 
     system: LinearSignals
     output: str

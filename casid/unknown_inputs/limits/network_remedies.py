@@ -133,7 +133,7 @@ def _for_all(orders: Orders, relation: Relation) -> Orders:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Task:
-    """What all rows share."""
+    """The arguments that all rows of the table share."""
 
     network: Network
     module: Edge

@@ -97,7 +97,7 @@ def regression_limit(
 
 
 def method_text(regression: Regression) -> str:
-    """What estimates, in words."""
+    """The estimator in words."""
     way = "LS" if regression.instruments is None else "IV"
     on = terms_text(list(regression.regressors.values()))
     text = f"{way} of {term_text(regression.output)} on {on}"

@@ -26,7 +26,7 @@ Row: TypeAlias = dict[Node, Element]
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """What the entries of equations are.
+    """Arithmetic of the entries of equations.
 
     Attributes
     ----------

@@ -114,7 +114,7 @@ class TextSource:
         return io.TextIOWrapper(self._bytes(), encoding=self.encoding, newline="")
 
     def handle(self) -> Path | IO[bytes]:
-        """What pandas reads."""
+        """The path, or the unpacked bytes, for pandas."""
         return self.path if self._content is None else self._bytes()
 
     def lines(self) -> Iterator[str]:
