@@ -17,10 +17,10 @@ from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
-from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.holdout import Split
-from casid.estimation.noise.variances import estimate_noise
+from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.prediction_error.disturbances import (
     Disturbance,
     rest_of,
