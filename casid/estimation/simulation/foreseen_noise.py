@@ -50,7 +50,9 @@ def foreseen_noise(
 def _foreseen(
     inputs: Sequence[Array], outputs: Sequence[Array], used: Sequence[BoolArray]
 ) -> float:
-    rows = [_rows(u, y, s) for u, y, s in zip(inputs, outputs, used, strict=True)]
+    foretelling = ~_is_same(inputs, outputs)
+    records = zip(inputs, outputs, used, strict=True)
+    rows = [_rows(u, y[:, foretelling], s) for u, y, s in records]
     rows = [r for r in rows if len(r)]
     count = sum(len(r) - 1 for r in rows)  # a mean of each record
     if not rows or count < FORESEEN.samples * rows[0].shape[1]:
@@ -76,14 +78,17 @@ def _rows(u: Array, y: Array, used: BoolArray) -> Array:
     lags = FORESEEN.lags
     if len(u) <= lags:
         return np.zeros((0, 1))
-    foretelling = [c for c in y.T if not _is_same(u, c)]
     own = sliding_window_view(u, lags + 1)
-    table = [own[:, ::-1], *(sliding_window_view(c, lags + 1) for c in foretelling)]
+    table = [own[:, ::-1], *(sliding_window_view(c, lags + 1) for c in y.T)]
     whole = sliding_window_view(used.all(axis=1), lags + 1).all(axis=1)
     return np.asarray(np.column_stack(table)[whole])
 
 
-def _is_same(u: Array, y: Array) -> bool:
-    """Whether an output is the input's own channel, on whatever scale: its noise is the same."""
-    a, b = u - u.mean(), y - y.mean()
-    return bool((a @ b) ** 2 >= (1 - FORESEEN.same) * (a @ a) * (b @ b))
+def _is_same(inputs: Sequence[Array], outputs: Sequence[Array]) -> BoolArray:
+    """(ny,) which outputs are the input's own channel, on whatever scale: their noise is the same.
+
+    All records decide together: in one where the input rests it is like any output.
+    """
+    a = np.concatenate([u - u.mean() for u in inputs])
+    b = np.concatenate([y - y.mean(axis=0) for y in outputs])
+    return np.asarray((a @ b) ** 2 >= (1 - FORESEEN.same) * (a @ a) * np.sum(b**2, axis=0))

@@ -92,6 +92,14 @@ def test_an_output_that_is_the_input_s_own_channel_foretells_nothing() -> None:
     assert input_noise_floor([copied], ["u"])["u"] > 0.01
 
 
+def test_a_record_in_which_the_input_rests_is_taken_together_with_the_others() -> None:
+    """A coast-down beside a run under power: no output is the channel of an input that rests."""
+    d = in_a_loop(7, sensor=0.01, own=0.0)
+    coasting = np.exp(-0.02 * np.arange(N))[:, None]
+    signals = [d, replace(d, u=np.zeros((N, 1)), y=coasting)]
+    assert input_noise_floor(signals, ["u"])["u"] < 0.1 * 0.03
+
+
 def test_missing_samples_and_short_records_are_left_out() -> None:
     d = in_a_loop(5, sensor=0.01, own=0.01)
     spoilt = d.y.copy()
