@@ -178,8 +178,10 @@ class NullRecords:
             noise = self.noise.outputs[name] * rng.standard_normal(d.N)
             values = y[:, i] + noise * d.relative_sizes[:, i]
             record = _with(record, name, values)
+        moves = dict(zip(criterion.model.inputs, d.moves.tolist(), strict=True))
         for name, sd in self.noise.inputs.items():
-            record = _with(record, name, record[name] + sd * rng.standard_normal(d.N))
+            noise = sd * moves[name] * rng.standard_normal(d.N)
+            record = _with(record, name, record[name] + noise)
         return replace(recorded, record=record)
 
 

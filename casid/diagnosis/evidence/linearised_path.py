@@ -107,7 +107,7 @@ class Linearised:
             for k, d in enumerate(criterion.data):
                 own = [Motion(self, k, d, criterion.simulated(x, k))]
                 if np.any(sd > 0):
-                    w = REMOVAL.drawn_share * sd * rng.standard_normal((d.N, len(sd)))
+                    w = REMOVAL.drawn_share * sd * d.moves * rng.standard_normal((d.N, len(sd)))
                     for sign in (1.0, -1.0):
                         noisy = replace(d, u=d.u + sign * w)
                         run = criterion.simulated(x, k, signals=noisy)

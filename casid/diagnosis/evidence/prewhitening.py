@@ -410,7 +410,7 @@ class Weighing:
             w = np.zeros(d.u.shape)
             for i in order:  # the same draw for a channel in every model
                 if sd[i] > 0:
-                    w[:, i] = share * sd[i] * rng.standard_normal(d.N)
+                    w[:, i] = share * sd[i] * d.moves[i] * rng.standard_normal(d.N)
             up = criterion.simulate(x, e, signals=replace(d, u=d.u + w))[0]
             down = criterion.simulate(x, e, signals=replace(d, u=d.u - w))[0]
             moved = d.in_sizes((up - down) / (2 * share) * d.used) * criterion.weights

@@ -90,9 +90,10 @@ class Columns:
         Channels without noise take no part in the draw: candidates that bring one leave it as it
         is.
         """
-        w, share = np.zeros(self.wide.data[k].u.shape), REMOVAL.drawn_share
-        noisy = np.flatnonzero(sd > 0)
-        w[:, noisy] = share * sd[noisy] * rng.standard_normal((len(w), len(noisy)))
+        d, share = self.wide.data[k], REMOVAL.drawn_share
+        w, noisy = np.zeros(d.u.shape), np.flatnonzero(sd > 0)
+        drawn = rng.standard_normal((len(w), len(noisy)))
+        w[:, noisy] = share * (sd * d.moves)[noisy] * drawn
         up, down = (self.of_record(x, k, sign * w) for sign in (1.0, -1.0))
         for above, below in zip(up, down, strict=True):
             above -= below

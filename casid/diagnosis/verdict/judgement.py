@@ -292,7 +292,8 @@ def _has_input_noise(at: Weighted) -> bool:
 
 def _doubts(found: Findings, remainder: Remainder | None, bounds: Mapping[str, str]) -> Doubts:
     """The doubts: contradictions of the model, named or not."""
-    apart = disagreements(found.best_fit) if not found.baseline.why_undecided else []
+    weigh = None if found.corrected is None else found.corrected.weigh
+    apart = disagreements(found.best_fit, weigh) if not found.baseline.why_undecided else []
     is_more = (
         remainder is not None and remainder.p_value < remainder.level and not remainder.disturbances
     )

@@ -39,7 +39,7 @@ from scipy.ndimage import uniform_filter1d
 
 from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
-from casid.estimation.noise.filled_noise import filled_spectrum
+from casid.estimation.noise.filled_noise import noise_spectrum
 from casid.estimation.noise.noise_response import may_vary
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -135,13 +135,12 @@ def columns_of(
         for j, name in enumerate(sorted(n for n in inputs if input_sd.get(n, 0.0) > 0)):
             w = np.zeros(d.u.shape)
             rng = np.random.default_rng((seed, e, j))
-            own = drawn(d.N, rng)
-            if name in d.filled:
-                hold = criterion.model.inputs[name].hold
-                omega = np.linspace(0.0, 2 * np.pi * (d.N // 2) / d.N, d.N // 2 + 1)
-                root = np.sqrt(filled_spectrum(d.filled[name], hold, omega))
-                own = irfft(root * rfft(own), d.N)
-            w[:, inputs.index(name)] = share * input_sd[name] * own
+            own, column = drawn(d.N, rng), inputs.index(name)
+            hold = criterion.model.inputs[name].hold
+            omega = np.linspace(0.0, 2 * np.pi * (d.N // 2) / d.N, d.N // 2 + 1)
+            root = np.sqrt(noise_spectrum(d, column, name, hold, omega))
+            own = own if np.all(root == 1.0) else irfft(root * rfft(own), d.N)
+            w[:, column] = share * input_sd[name] * own
             whole = replace(d, used=np.ones_like(d.used))
             up, down = (_simulated(criterion, x, e, replace(whole, u=d.u + s * w)) for s in (1, -1))
             moved, turned = ((a - b) / (2 * share) for a, b in zip(up, down, strict=True))

@@ -31,10 +31,11 @@ def error_bars(found: Corrected) -> ErrorBars:
     if found.reference:
         return ErrorBars(INSTRUMENTED, found.covariance)
     if found.is_removed:
-        return ErrorBars(CORRECTED, found.covariance, found.whiten)
+        return ErrorBars(CORRECTED, found.covariance, found.whiten, found.weigh)
     if found.weights is not None:
         orders = orders_text(found.weights.models)
-        return ErrorBars(WEIGHTED.format(orders=orders), found.covariance, found.whiten)
+        assumes = WEIGHTED.format(orders=orders)
+        return ErrorBars(assumes, found.covariance, found.whiten, found.weigh)
     fit, assumes = found.fit, ASSUMES + BIASED if found.why_not else ASSUMES
     coloured = covariance_under_colour(fit, fit.solution.is_free)
     if coloured is None:

@@ -20,7 +20,7 @@ from casid.arrays import TINY, Array, BoolArray, scaled_inverse
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
 from casid.estimation.errors_in_variables.thresholds import FILLINGS, REMOVAL
 from casid.estimation.noise.absorbed_noise import absorbed
-from casid.estimation.noise.input_noise_floor import input_noise_floor
+from casid.estimation.noise.input_noise_floor import input_noise_floor, samples_with_noise
 from casid.estimation.noise.missing_samples import unbroken
 from casid.estimation.noise.noise_floor import floor_error
 from casid.estimation.noise.noise_model import NoiseModel
@@ -119,8 +119,11 @@ def input_noise(
     floors = input_noise_floor(criterion.data, list(inputs))
     measured = [n for n, u in inputs.items() if u.kind == "measured"]
     errors = {
-        n: 0.0 if n in known else floor_error(_recorded(criterion, n)) * floors[n] ** 2
-        for n in measured
+        n: 0.0
+        if n in known
+        else floor_error(samples_with_noise(criterion.data, i, n)) * floors[n] ** 2
+        for i, n in enumerate(inputs)
+        if n in measured
     }
     noise, agree = seen.with_floors(noise, {n: (floors[n] ** 2, errors[n]) for n in measured})
     if before is None or before.varying:
@@ -132,11 +135,6 @@ def _apart(variance: float, floor: float, error: float) -> float:
     """Twice the log-likelihood by which a variance is less likely than the floor, itself."""
     ratio = floor / max(variance, TINY)
     return float(2 * (floor / error) ** 2 * (ratio - 1 - np.log(ratio)))
-
-
-def _recorded(criterion: SimulationError, name: str) -> list[int]:
-    """Samples of an input that every record has."""
-    return [int(np.sum(~d.filled[name])) if name in d.filled else d.N for d in criterion.data]
 
 
 class _Residuals:

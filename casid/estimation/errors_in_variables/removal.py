@@ -67,6 +67,11 @@ class Corrected:
         return self.covariance is not None and self.weights is None
 
     @property
+    def weigh(self) -> Whitener | None:
+        """What columns are to be fitted under: the noise that was found, or the weights."""
+        return self.whiten if self.noise is None else self.noise.whiten
+
+    @property
     def noisy(self) -> tuple[str, ...]:
         """Measured inputs whose noise counts, removed or not."""
         if self.bias is None or self.input_sd is None:

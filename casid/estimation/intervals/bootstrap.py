@@ -128,8 +128,10 @@ class _Draw:
             y = self.clean[e].y + d.relative_sizes * self._noise(d.used, rng)
             for i, name in enumerate(self.criterion.outputs):
                 record = _with(record, name, y[:, i])
+            moves = dict(zip(self.criterion.model.inputs, d.moves.tolist(), strict=True))
             for name, sd in self.input_sd.items():
-                record = _with(record, name, record[name] + sd * rng.standard_normal(record.N))
+                noise = sd * moves[name] * rng.standard_normal(record.N)
+                record = _with(record, name, record[name] + noise)
             out.append(replace(experiment, record=record))
         return out
 

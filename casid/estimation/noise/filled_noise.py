@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.estimation.simulation.signals import Signals
 from casid.model.declarations import Hold
 
 
@@ -35,3 +36,13 @@ def filled_spectrum(filled: BoolArray, hold: Hold, omega: Array) -> Array:
         kernel = np.exp(-1j * np.outer(omega, places)) @ weights
         out += count * np.abs(kernel) ** 2
     return np.asarray(out / len(filled))
+
+
+def noise_spectrum(d: Signals, column: int, name: str, hold: Hold, omega: Array) -> Array | float:
+    """Spectrum (F,) of unit noise of an input in one record; 1 where every sample is recorded.
+
+    In a record in which the input rests it is 0, as of the force in a coast-down: noise would show.
+    """
+    if not d.moves[column]:
+        return 0.0
+    return filled_spectrum(d.filled[name], hold, omega) if name in d.filled else 1.0

@@ -17,7 +17,7 @@ from scipy.fft import rfft
 
 from casid.arrays import Array
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
-from casid.estimation.noise.filled_noise import filled_spectrum
+from casid.estimation.noise.filled_noise import noise_spectrum
 from casid.estimation.noise.windowed_response import windowed_spectra
 from casid.estimation.simulation.band_limited import responses_between
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
@@ -112,9 +112,9 @@ def noise_response(
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
     sensors = _sensor_stages(criterion, x, experiment, len(omega) - 1)
     own = np.ones((len(omega), g.shape[2]))
-    for name in set(measured) & set(d.filled):
-        spectrum = filled_spectrum(d.filled[name], model.inputs[name].hold, omega)
-        own[:, measured.index(name)] = np.sqrt(spectrum)
+    for i, name in enumerate(measured):
+        column, hold = list(model.inputs).index(name), model.inputs[name].hold
+        own[:, i] = np.sqrt(noise_spectrum(d, column, name, hold, omega))
     g = g * sensors[:, :, None] * own[:, None, :]
     found = Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
     if not criterion.is_cut(experiment):

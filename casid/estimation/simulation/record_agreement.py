@@ -13,6 +13,8 @@ records (Cochran, Biometrics 10 (1954) 101-129).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.stats import chi2
 
@@ -20,14 +22,22 @@ from casid.arrays import scaled_inverse
 from casid.estimation.covariance import sandwich
 from casid.estimation.local_rank import local_rank
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import Whitener
 from casid.estimation.simulation.thresholds import RECORD_AGREEMENT
 
 
-def disagreements(fit: Fit) -> list[str]:
+def disagreements(fit: Fit, whiten: Whitener | None = None) -> list[str]:
     """A sentence for each shared parameter on which the records disagree, the worst first.
 
     Parameters that a record does not determine by itself are left out there.
+
+    Parameters
+    ----------
+    whiten : by the spectrum that the noise has. A residual that it makes slow has a correlation
+        time too long for robust errors; None: as the fit is whitened.
     """
+    if whiten is not None:
+        fit = replace(fit, criterion=fit.criterion.whitened(whiten))
     c = fit.criterion
     shared = [i for i, v in enumerate(c.variables) if v.name in c.free and v.name not in c.own]
     is_free = fit.solution.is_free

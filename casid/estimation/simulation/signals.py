@@ -47,6 +47,11 @@ class Signals:
         """(N, ny) of the noise at each sample, over its RMS size."""
         return np.ones(self.y.shape) if self.sizes is None else self.sizes
 
+    @property
+    def moves(self) -> BoolArray:
+        """(nu,) which inputs change in this record: where one rests its channel has no noise."""
+        return np.asarray(np.any(self.u != self.u[:1], axis=0))
+
     def in_sizes(self, columns: Array) -> Array:
         """Errors (N, ny), or columns of them (N, ny, m), over the size of the noise at each."""
         if self.sizes is None:

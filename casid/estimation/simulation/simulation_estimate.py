@@ -72,11 +72,13 @@ class ErrorBars:
     assumes : with a place `{lags}` for the lags of the robust covariance, where it is used.
     covariance : (n, n) of a fit that is no minimum of the criterion; None: the robust one.
     whiten : by the spectrum that the covariance rests on.
+    weigh : the same for columns that are fitted: white noise does not stand in for missing samples.
     """
 
     assumes: str
     covariance: Array | None = None
     whiten: Whitener | None = None
+    weigh: Whitener | None = None
 
     def whitened(self, residual: Array, experiment: int) -> Array:
         """A weighted residual (N, ny) without the colour that it is to have."""
@@ -146,7 +148,7 @@ def estimate_of(
             where = f"{d.name}/{name}" if len(criterion.data) > 1 else name
             builder.add_whiteness(where, left[d.used[:, i], i])
     builder.warn_of_poor_fits()
-    builder.warnings += disagreements(fit)
+    builder.warnings += disagreements(fit, bars.weigh)
     return builder.build(
         method or method_of(fit),
         uncertainty,
