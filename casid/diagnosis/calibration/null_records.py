@@ -25,6 +25,7 @@ from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, par
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import name_of_force, with_forces
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.signals import noisy_inputs
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
@@ -178,9 +179,9 @@ class NullRecords:
             noise = self.noise.outputs[name] * rng.standard_normal(d.N)
             values = y[:, i] + noise * d.relative_sizes[:, i]
             record = _with(record, name, values)
-        moves = dict(zip(criterion.model.inputs, d.moves.tolist(), strict=True))
+        here = noisy_inputs(criterion.data, e)
         for name, sd in self.noise.inputs.items():
-            noise = sd * moves[name] * rng.standard_normal(d.N)
+            noise = sd * here[_column(criterion.model, name)] * rng.standard_normal(d.N)
             record = _with(record, name, record[name] + noise)
         return replace(recorded, record=record)
 

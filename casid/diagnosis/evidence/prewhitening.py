@@ -41,6 +41,7 @@ from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.initial_state import with_states_anew
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.signals import noisy_inputs
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
@@ -407,10 +408,10 @@ class Weighing:
         order = sorted(range(len(names)), key=lambda i: names[i])
         states = states_of_windows(criterion, range(len(x)))
         for e, d in enumerate(criterion.data):
-            w = np.zeros(d.u.shape)
+            w, here = np.zeros(d.u.shape), sd * noisy_inputs(criterion.data, e)
             for i in order:  # the same draw for a channel in every model
                 if sd[i] > 0:
-                    w[:, i] = share * sd[i] * d.moves[i] * rng.standard_normal(d.N)
+                    w[:, i] = share * here[i] * rng.standard_normal(d.N)
             up = criterion.simulate(x, e, signals=replace(d, u=d.u + w))[0]
             down = criterion.simulate(x, e, signals=replace(d, u=d.u - w))[0]
             moved = d.in_sizes((up - down) / (2 * share) * d.used) * criterion.weights

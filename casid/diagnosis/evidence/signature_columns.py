@@ -13,6 +13,7 @@ from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.feedback import not_felt_yet, slope
 from casid.estimation.noise.innovations import GROUP
 from casid.estimation.simulation.minimization import Fit, widened
+from casid.estimation.simulation.signals import noisy_inputs
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect, extend_all
 
@@ -90,10 +91,9 @@ class Columns:
         Channels without noise take no part in the draw: candidates that bring one leave it as it
         is.
         """
-        d, share = self.wide.data[k], REMOVAL.drawn_share
-        w, noisy = np.zeros(d.u.shape), np.flatnonzero(sd > 0)
-        drawn = rng.standard_normal((len(w), len(noisy)))
-        w[:, noisy] = share * (sd * d.moves)[noisy] * drawn
+        w, share = np.zeros(self.wide.data[k].u.shape), REMOVAL.drawn_share
+        noisy, here = np.flatnonzero(sd > 0), sd * noisy_inputs(self.wide.data, k)
+        w[:, noisy] = share * here[noisy] * rng.standard_normal((len(w), len(noisy)))
         up, down = (self.of_record(x, k, sign * w) for sign in (1.0, -1.0))
         for above, below in zip(up, down, strict=True):
             above -= below

@@ -136,9 +136,9 @@ def columns_of(
             w = np.zeros(d.u.shape)
             rng = np.random.default_rng((seed, e, j))
             own, column = drawn(d.N, rng), inputs.index(name)
-            hold = criterion.model.inputs[name].hold
+            named = name, criterion.model.inputs[name].hold
             omega = np.linspace(0.0, 2 * np.pi * (d.N // 2) / d.N, d.N // 2 + 1)
-            root = np.sqrt(noise_spectrum(d, column, name, hold, omega))
+            root = np.sqrt(noise_spectrum(criterion.data, e, column, named, omega))
             own = own if np.all(root == 1.0) else irfft(root * rfft(own), d.N)
             w[:, column] = share * input_sd[name] * own
             whole = replace(d, used=np.ones_like(d.used))

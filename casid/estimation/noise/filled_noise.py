@@ -13,10 +13,12 @@ mean square as what they make of stationary noise with this spectrum, but for a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.signals import Signals, noisy_inputs
 from casid.model.declarations import Hold
 
 
@@ -38,11 +40,17 @@ def filled_spectrum(filled: BoolArray, hold: Hold, omega: Array) -> Array:
     return np.asarray(out / len(filled))
 
 
-def noise_spectrum(d: Signals, column: int, name: str, hold: Hold, omega: Array) -> Array | float:
-    """Spectrum (F,) of unit noise of an input in one record; 1 where every sample is recorded.
+def noise_spectrum(
+    data: Sequence[Signals], experiment: int, column: int, named: tuple[str, Hold], omega: Array
+) -> Array:
+    """(F,) of unit noise of an input in one record, by where its samples are; 0 where it rests.
 
-    In a record in which the input rests it is 0, as of the force in a coast-down: noise would show.
+    Parameters
+    ----------
+    column, named : its place, and its name and hold.
     """
-    if not d.moves[column]:
-        return 0.0
-    return filled_spectrum(d.filled[name], hold, omega) if name in d.filled else 1.0
+    name, hold = named
+    filled = data[experiment].filled
+    if not noisy_inputs(data, experiment)[column]:
+        return np.zeros(len(omega))
+    return filled_spectrum(filled[name], hold, omega) if name in filled else np.ones(len(omega))

@@ -10,7 +10,7 @@ from casid.arrays import BoolArray
 from casid.estimation.noise.noise_floor import floor_error, is_held, white_floor
 from casid.estimation.noise.variances import with_rounding
 from casid.estimation.simulation.foreseen_noise import foreseen_noise
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.signals import Signals, noisy_inputs
 
 
 def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict[str, float]:
@@ -26,14 +26,14 @@ def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict
     the error of that prediction is the bound (`foreseen_noise`).
     """
     columns = {
-        name: [d.u[_recorded(d, name), i] for d in signals if d.moves[i]]
+        name: [d.u[_recorded(d, name), i] for d in _with_noise(signals, i)]
         for i, name in enumerate(inputs)
     }
     rounded = with_rounding(signals, {})
     out = {}
     for i, (name, c) in enumerate(columns.items()):
         out[name] = rounded.get(name, 0.0)
-        if c and not is_held(c):
+        if not is_held(c):
             floor, foreseen = white_floor(c), _foreseen(signals, i, name)
             by_chance = 4.0 * floor_error([len(values) for values in c])  # standard errors
             out[name] = foreseen if foreseen**2 < (1.0 - by_chance) * floor**2 else floor
@@ -42,7 +42,11 @@ def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict
 
 def samples_with_noise(signals: Sequence[Signals], column: int, name: str) -> list[int]:
     """How many samples of an input each record has in which it does not rest."""
-    return [int(_recorded(d, name).sum()) for d in signals if d.moves[column]]
+    return [int(_recorded(d, name).sum()) for d in _with_noise(signals, column)]
+
+
+def _with_noise(signals: Sequence[Signals], column: int) -> list[Signals]:
+    return [d for e, d in enumerate(signals) if noisy_inputs(signals, e)[column]]
 
 
 def _recorded(d: Signals, name: str) -> BoolArray:
@@ -52,6 +56,6 @@ def _recorded(d: Signals, name: str) -> BoolArray:
 
 def _foreseen(signals: Sequence[Signals], column: int, name: str) -> float:
     """`foreseen_noise` of one input."""
-    moving = [d for d in signals if d.moves[column]]
+    moving = _with_noise(signals, column)
     used = [d.used & _recorded(d, name)[:, None] for d in moving]
     return foreseen_noise([d.u[:, column] for d in moving], [d.y for d in moving], used)

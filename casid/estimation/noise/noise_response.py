@@ -113,8 +113,8 @@ def noise_response(
     sensors = _sensor_stages(criterion, x, experiment, len(omega) - 1)
     own = np.ones((len(omega), g.shape[2]))
     for i, name in enumerate(measured):
-        column, hold = list(model.inputs).index(name), model.inputs[name].hold
-        own[:, i] = np.sqrt(noise_spectrum(d, column, name, hold, omega))
+        column, named = list(model.inputs).index(name), (name, model.inputs[name].hold)
+        own[:, i] = np.sqrt(noise_spectrum(criterion.data, experiment, column, named, omega))
     g = g * sensors[:, :, None] * own[:, None, :]
     found = Response(omega, np.abs(g) ** 2, (*measured, *forced), g)
     if not criterion.is_cut(experiment):

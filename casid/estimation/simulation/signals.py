@@ -47,11 +47,6 @@ class Signals:
         """(N, ny) of the noise at each sample, over its RMS size."""
         return np.ones(self.y.shape) if self.sizes is None else self.sizes
 
-    @property
-    def moves(self) -> BoolArray:
-        """(nu,) which inputs change in this record: where one rests its channel has no noise."""
-        return np.asarray(np.any(self.u != self.u[:1], axis=0))
-
     def in_sizes(self, columns: Array) -> Array:
         """Errors (N, ny), or columns of them (N, ny, m), over the size of the noise at each."""
         if self.sizes is None:
@@ -114,6 +109,16 @@ def _sizes_of(experiment: Experiment, outputs: Sequence[str]) -> Array | None:
     return np.column_stack(
         [sizes[name].at(t) if name in sizes else np.ones(len(t)) for name in outputs]
     )
+
+
+def noisy_inputs(data: Sequence[Signals], experiment: int) -> BoolArray:
+    """(nu,) inputs whose channel may have noise in this record: noise would show where one rests.
+
+    So rests the force in a coast-down beside runs under power. An input that rests in every record
+    says nothing of its noise, and what is stated of it acts.
+    """
+    moves = np.array([np.any(d.u != d.u[:1], axis=0) for d in data])
+    return np.asarray(moves[experiment] | ~moves.any(axis=0))
 
 
 def output_spread(data: Sequence[Signals]) -> Array:
