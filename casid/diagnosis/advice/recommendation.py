@@ -68,7 +68,8 @@ def recommend(
     elif planned is not None:
         text = planned.sentence
     elif judged.verdict == "adequate" and any(d.is_dominant for d in judged.disturbances):
-        text = disturbance_advice(problem.model, judged.disturbances[0])
+        text = _apart(judged.doubts)
+        text += disturbance_advice(problem.model, judged.disturbances[0])
     else:
         decides = decisive(judged.fitted, judged.held_out)
         is_same = bool(decides.get("extended_rmse")) and not (
@@ -200,14 +201,16 @@ def advice(
         if not rivals:
             continue
         others = either_words(a.words for a in rivals)
-        return f"To separate {c.words} from {others}: {_next_record(c)}."
-    return _of_a_deficient_model(causes, why_undecided, is_better, is_same, doubts)
+        return f"{_apart(doubts)}To separate {c.words} from {others}: {_next_record(c)}."
+    if all(c.kind in OF_SAMPLES for c in causes):
+        return _of_samples(why_undecided, doubts)
+    return _apart(doubts) + _of_a_deficient_model(causes, is_better, is_same)
 
 
 def _of_an_adequate_model(undetectable: Sequence[str], doubts: Doubts) -> str:
     """Advice for an adequate model: how far it may be used."""
     if doubts.disagreements:
-        return f"{_APART}: {doubts.said}."
+        return _apart(doubts).rstrip()
     if doubts.is_more_than_noise:
         text = (
             "Use the model with care, and not its error bars: look for what the residual follows, "
@@ -225,14 +228,15 @@ def _of_an_adequate_model(undetectable: Sequence[str], doubts: Doubts) -> str:
 _APART = "Diagnose each record by itself, and look for what differs between them"
 
 
-def _of_a_deficient_model(
-    causes: Sequence[Cause], why_undecided: str, is_better: bool, is_same: bool, doubts: Doubts
-) -> str:
+def _apart(doubts: Doubts) -> str:
+    """Advice to begin with where records disagree on the model, or on what was named with it."""
+    return f"{_APART}: {doubts.said}. " if doubts.disagreements else ""
+
+
+def _of_a_deficient_model(causes: Sequence[Cause], is_better: bool, is_same: bool) -> str:
     """Advice for a deficient model whose causes the record separates from others."""
     has_samples = any(c.kind in OF_SAMPLES for c in causes)
     of_model = [c for c in causes if c.kind not in OF_SAMPLES]
-    if not of_model:
-        return _of_samples(why_undecided, doubts)
     if all(c.kind == "unknown" and not c.parameters for c in of_model):
         return f"{_CORRECT} " * has_samples + (
             "No term was found to add: look for what the residual follows, add that to the model "

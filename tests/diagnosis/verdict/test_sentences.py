@@ -418,6 +418,15 @@ def test_an_error_is_the_same_to_its_third_digit(after: float, is_changed: bool)
     assert changes(part) is is_changed
 
 
+def test_records_that_disagree_on_what_was_named_are_diagnosed_apart_first():
+    """What acts in one record alone, as a wind, has no place in a model of all of them."""
+    first = "Diagnose each record by itself, and look for what differs between them"
+    for causes in ([ALONE], [NAMED]):
+        together = advice("deficient", causes, (), "")
+        apart = advice("deficient", causes, (), "", doubts=DISAGREE)
+        assert apart == f"{first}: {DISAGREE.said}. {together}"
+
+
 @pytest.mark.parametrize(
     ("doubts", "said", "todo"),
     [
