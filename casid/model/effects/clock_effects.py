@@ -13,7 +13,13 @@ from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import offset
 from casid.model.effects.channel_effects import scaled_input, sensor_bias, sensor_scale
 from casid.model.effects.effect import Effect
-from casid.model.effects.names import DURING_THE_RECORD, FOR_A_WHILE, GAIN_OF_INPUT
+from casid.model.effects.names import (
+    DURING_THE_RECORD,
+    FOR_A_WHILE,
+    GAIN_OF_INPUT,
+    GROWS_STEADILY,
+    SETS_IN,
+)
 from casid.model.effects.parameter_effects import (
     cost_of_instants,
     instants,
@@ -35,7 +41,7 @@ def offset_step(model: Model, balance: str, time: float, end: float | None = Non
     """A constant force or voltage from `time` on, or until `end` (s of the record's clock)."""
     made = _set_in(offset(model, balance), time, end)
     what = a_constant(model.balances[balance].unit)
-    says = f"{what} sets in during the record, in the {balance} balance"
+    says = f"{what} {SETS_IN} {DURING_THE_RECORD}, in the {balance} balance"
     if end is not None:
         says = f"{what} acts in the {balance} balance {FOR_A_WHILE}"
     return replace(made, description=says)
@@ -71,7 +77,7 @@ def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
 def bias_step(model: Model, channel: str, time: float, end: float | None = None) -> Effect:
     """A bias of a measured channel from `time` on, or until `end` (s of the record's clock)."""
     made = _set_in(sensor_bias(model, channel), time, end)
-    says = f"the channel {channel} gets a constant bias during the record"
+    says = f"the channel {channel} gets a constant bias {DURING_THE_RECORD}"
     if end is not None:
         says = f"the channel {channel} has a constant bias {FOR_A_WHILE}"
     return replace(made, description=says)
@@ -91,7 +97,7 @@ def bias_drift(model: Model, channel: str, window: tuple[float, float]) -> Effec
         made,
         parameters=(p,),
         shape=DRIFT,
-        description=f"the channel {channel} drifts: its bias grows steadily",
+        description=f"the channel {channel} drifts: its bias {GROWS_STEADILY}",
         constants={"start": start, "stop": stop},
     )
 

@@ -57,6 +57,15 @@ RATE_LIMIT = "the actuator moves at no more than a rate"
 ACTS_LATE = "acts late"
 """Shape of the delay of a measured input that is not its sensor's."""
 
+SETS_IN, GROWS_STEADILY = "sets in", "grows steadily"
+"""What the descriptions say of a constant from an instant on, and of a bias that drifts."""
+
+_COURSES = {
+    "offset": {SETS_IN: "step"},
+    "sensor_bias": {DURING_THE_RECORD: "step", GROWS_STEADILY: "drift"},
+}
+"""What is added to the words for a constant that is not there all the time."""
+
 LATER_THAN_RECORDED = "acts later than it is recorded"
 RECORDED_LATE = "is recorded later than it acts"
 """What a measured input does: the system is late, or its sensor is. The one undoes the other."""
@@ -195,6 +204,8 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
         return f"{_FOR_A_WHILE.get(kind, words).format(where=at)} {FOR_A_WHILE}"
     if kind == "sensor_scale" and (variant or description.endswith(DURING_THE_RECORD)):
         return _CHANGE_OF_GAIN.format(where=at)
+    courses = [course for says, course in _COURSES.get(kind, {}).items() if says in description]
+    variant = variant or "".join(courses)
     return f"{words} ({variant})" if variant else words
 
 

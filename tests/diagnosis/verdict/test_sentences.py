@@ -394,6 +394,22 @@ def test_what_was_not_named_extends_nothing_and_the_advice_does_not_say_so():
     )
 
 
+def test_a_bias_that_grows_is_another_effect_than_a_constant_one():
+    """Where one sensor's constant bias may be another's drift, not only the place is open."""
+    m = pendulum.indirect_model()
+    constant, grows = sensor_bias(m, "gyro"), bias_drift(m, "gyro", (0.0, 9.0))
+    later = offset_step(m, "torque", 4.0)
+    assert effect_words(*constant.key, description=constant.description) == "bias of gyro"
+    drift = Alternative(grows.kind, "accel", 0.6, "alike", grows.description)
+    assert drift.words == "bias of accel (drift)"
+    step = effect_words(later.kind, later.where, description=later.description)
+    assert step == "constant torque in the torque balance (step)"
+    cause = Cause(constant.kind, "gyro", 1e-9, (), (drift,), sentence="gyro has a constant bias")
+    text = verdict_sentence("deficient", [cause], {}, "", pendulum.problem)
+    assert "same effect" not in text
+    assert "bias of gyro or bias of accel (drift)" in text
+
+
 SPIKES = Cause("outliers", "gyro", 1e-9, (Estimated("share", 0.01, "1"),), sentence="it has spikes")
 ALONE = replace(NAMED, alternatives=())
 DISAGREE = Doubts(disagreements=("the records disagree on k",))
