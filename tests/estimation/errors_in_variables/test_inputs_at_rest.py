@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from casid.estimation.noise_response import noise_response
 
 import casid
 from casid.estimation.noise.input_noise_floor import input_noise_floor
+from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 FORCE, SPEED = 15.0, 0.03
