@@ -201,6 +201,15 @@ class Outliers:
     neighbours: tuple[float, float] = _is(
         (0.15, 0.85), "of a large spike, turned round, that its two neighbours show", _SPIKES
     )
+    uneven: float = _is(
+        0.25,
+        "of a large spike, by which its neighbours may differ: beside a step it is all of it, and "
+        "half where a first-order lag goes on from there",
+        _SPIKES,
+    )
+    by_noise: float = _is(
+        3.5, "standard deviations of that difference which noise alone may make", _SPIKES
+    )
     after_steps: int = _is(
         2, "samples after an input's step in which a spike may be a response to it", _SPIKES
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.held_signals import is_held, is_switched
-from casid.diagnosis.evidence.bursts import burst_onset
+from casid.diagnosis.evidence.bursts import burst_of
 from casid.diagnosis.evidence.command_rates import command_rates
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
@@ -46,20 +46,11 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
         readings={n: (m.low, m.high) for n, m in readings.items()},
         levels={n: m.operating_point for n, m in readings.items() if m.operating_point},
         noise=noise,
-        events=_events(at),
+        events=burst_of(at)[:1],
         rates_felt={n: r.felt for n, r in rates.items()},
         largest_rates={n: r.largest for n, r in rates.items()},
         course=lambda expression: _course(at, [s.x for s in sims], expression),
     )
-
-
-def _events(at: Weighted) -> tuple[float, ...]:
-    """The instant at which the strongest burst of the misfit begins [s], where there is one."""
-    data = at.criterion.data
-    residuals = [at.criterion.columns(at.fit.x, e)[0] for e in range(len(data))]
-    powers = [np.sum(r**2, axis=1) for r in residuals]
-    onset = burst_onset(powers, [d.t[: len(p)] for d, p in zip(data, powers, strict=True)])
-    return () if onset is None else (onset,)
 
 
 def _noise_of_inputs(at: Weighted) -> dict[str, float]:

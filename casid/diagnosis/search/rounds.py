@@ -36,7 +36,7 @@ from casid.diagnosis.search.imitations import (
     is_further_friction,
 )
 from casid.diagnosis.search.instants.jump_times import events_of, is_known_event, placed
-from casid.diagnosis.search.instants.temporary_changes import temporary_changes
+from casid.diagnosis.search.instants.temporary_changes import placed_changes
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.lags_of_channels import delays_of_best, lags_beside
 from casid.diagnosis.search.memory import Memory
@@ -304,7 +304,7 @@ def _best_of_each(found: Sequence[Candidate]) -> list[Candidate]:
 def scores_to_refit(at: Weighted, table: ScoreTable) -> list[Score]:
     """The shortlist, the changes that are over before the record is, and lags of all channels."""
     short = shortlist(at, table)
-    return [*short, *temporary_changes(at, table), *lags_beside(at, table, short)]
+    return [*short, *placed_changes(at, table), *lags_beside(at, table, short)]
 
 
 def _alike_to_best(table: ScoreTable, found: Sequence[Candidate]) -> list[Score]:

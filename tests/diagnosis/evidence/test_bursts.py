@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.diagnosis.evidence.bursts import burst_onset
+from casid.diagnosis.evidence.bursts import burst
 
 TS, N, JUMP = 0.02, 700, 11.3
 T = TS * np.arange(N)
@@ -26,29 +26,41 @@ def noise(seed: int, n: int = N) -> np.ndarray:
 def test_a_burst_begins_where_the_misfit_does():
     power = noise(1)
     power[300:320] += 60.0
-    assert burst_onset([power], [T]) == pytest.approx(T[300])
+    assert burst([power], [T])[0] == pytest.approx(T[300])
+
+
+def test_a_burst_ends_where_the_misfit_does():
+    power = noise(1)
+    power[300:320] += 60.0
+    assert burst([power], [T])[1] == pytest.approx(T[320])
+
+
+def test_a_burst_that_lasts_to_the_end_of_a_record_has_none_of_its_own():
+    power = noise(1)
+    power[-20:] += 60.0
+    assert burst([power], [T]) == pytest.approx([T[-20]])
 
 
 def test_of_several_records_the_strongest_burst_counts_by_its_own_clock():
     weak, strong = noise(1), noise(2)
     weak[100:110] += 60.0
     strong[200:220] += 60.0
-    assert burst_onset([weak, strong], [T, T + 100.0]) == pytest.approx(104.0)
+    assert burst([weak, strong], [T, T + 100.0])[0] == pytest.approx(104.0)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_has_no_burst(seed):
-    assert burst_onset([noise(seed, 300)], [T[:300]]) is None
+    assert not burst([noise(seed, 300)], [T[:300]])
 
 
 def test_a_misfit_all_the_time_has_no_burst():
-    assert burst_onset([noise(1) + 40 * np.sin(3 * T) ** 2], [T]) is None
+    assert not burst([noise(1) + 40 * np.sin(3 * T) ** 2], [T])
 
 
 def test_what_the_initial_state_leaves_is_no_event():
     power = noise(1)
     power[:20] += 60.0
-    assert burst_onset([power], [T]) is None
+    assert not burst([power], [T])
 
 
 def loaded_spring() -> tuple[casid.Problem, casid.Record]:

@@ -78,6 +78,11 @@ class _Simulated:
         return [d[u] for d, u in zip(self.inputs, self.used, strict=True)]
 
     @property
+    def behind_used(self) -> list[Array]:
+        """Which of those samples are in or shortly behind a gap of an input."""
+        return [near[u] for near, u in zip(self.behind, self.used, strict=True)]
+
+    @property
     def restarts_among_used(self) -> list[Array]:
         """The samples, of those that there are, at which the simulation starts anew."""
         return [
@@ -159,6 +164,7 @@ def _spikes(
             inputs=at.inputs_used,
             anew=at.restarts_among_used,
             simulated=at.simulated_used,
+            behind=at.behind_used,
         )
         if found is None:
             return None, split, count

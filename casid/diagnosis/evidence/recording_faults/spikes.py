@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 from scipy.optimize import minimize
@@ -57,6 +58,7 @@ def find_spikes(
     inputs: Sequence[Array] = (),
     anew: Sequence[Array] = (),
     simulated: Sequence[Array] = (),
+    behind: Sequence[Array] = (),
     largest_share: float = OUTLIERS.largest_share,
 ) -> Spikes | None:
     """Samples that differ from both neighbours more than noise ever would.
@@ -72,6 +74,8 @@ def find_spikes(
     there is no spike.
     `simulated` (N,) of each record, where given: what stands out in the simulation and not in the
     record, as a vibration of a poor fit that dies away in its first samples, is no error of it.
+    `behind` (N,) of each record, where given: samples at which a step of the residual is taken as a
+    spike is, as what an input did in a gap lasts.
     Returns None where there are none, or so many that they are not exceptions.
     """
     total = sum(len(r) for r in residuals)
@@ -92,7 +96,10 @@ def find_spikes(
         if cut is not None:
             threshold = min(threshold, cut)
             p = min(p, float(norm.sf(fourth)))
-    masks = [_tops(d, sd, threshold) for d, sd in zip(differences, sds, strict=True)]
+    masks = [
+        _tops(d, sd, threshold, may_last)
+        for d, sd, may_last in zip_longest(differences, sds, behind)
+    ]
     for mask, response in zip(masks, _responses(masks, inputs, alpha), strict=False):
         mask &= ~response
     for mask, d, y in zip(masks, differences, simulated, strict=False):
@@ -136,15 +143,20 @@ def starts_apart(residual: Array, alpha: float) -> bool:
     return bool(first > limit and second < OUTLIERS.neighbours[1] * first)
 
 
-def _tops(d: Array, sd: float, threshold: float) -> BoolArray:
+def _tops(d: Array, sd: float, threshold: float, may_last: Array | None) -> BoolArray:
     """Samples (N,) at which d exceeds `threshold` standard deviations, one a spike.
 
     A spike's neighbours show half of it, with the other sign: they are left out.
+
+    Parameters
+    ----------
+    may_last : (N,) samples at which a step is taken as a spike is; None: no sample.
     """
     mask = np.zeros(len(d), dtype=bool)
     for k in np.flatnonzero(np.abs(d) > threshold * sd).tolist() if sd > 0 else ():
         is_top = np.abs(d[k]) >= np.abs(d[k - 1 : k + 2]).max()
-        mask[k] = is_top and _stands_alone(d, k, sd)
+        lasts = may_last is not None and bool(may_last[k])
+        mask[k] = is_top and _stands_alone(d, k, sd, lasts=lasts)
     return mask
 
 
@@ -203,16 +215,20 @@ def _is_white(differences: Sequence[Array]) -> bool:
     return far < OUTLIERS.like_white
 
 
-def _stands_alone(d: Array, k: int, sd: float) -> bool:
-    """False where a large d has not half of it, with the other sign, on both sides on average.
+def _stands_alone(d: Array, k: int, sd: float, *, lasts: bool) -> bool:
+    """False where a large d has not half of it, with the other sign, on both sides.
 
-    The first and the last sample have none: beside them the other side alone says it.
+    Beside a step of the residual, or a part of it that goes on from sample to sample, one side
+    shows nothing; it is half on average all the same, which is enough of what `lasts`. By noise
+    alone the sides of a spike differ by sqrt(5/3) standard deviations. The first and the last
+    sample have no d: the other side says it.
     """
     if abs(d[k]) < OUTLIERS.large * sd:
         return True
-    beside = np.mean([d[j] for j in (k - 1, k + 1) if 0 < j < len(d) - 1])
+    beside = np.array([-d[j] / d[k] for j in (k - 1, k + 1) if 0 < j < len(d) - 1])
     least, most = OUTLIERS.neighbours
-    return least < -float(beside / d[k]) < most
+    uneven = max(OUTLIERS.uneven, OUTLIERS.by_noise * np.sqrt(5 / 3) * sd / abs(d[k]))
+    return bool(least < beside.mean() < most and (lasts or np.ptp(beside) < uneven))
 
 
 def _largest(d: Array) -> float:

@@ -84,6 +84,17 @@ def placed_by_tangents(at: Weighted, effect: Effect) -> Effect:
     return effect
 
 
+def placed_about(at: Weighted, effect: Effect, begin: float, end: float) -> Effect:
+    """What is over again, between the instants that leave least about a burst [s], by tangents.
+
+    It begins within half the burst of where that begins, and ends in the burst, whose end is that
+    of what the change leaves behind.
+    """
+    reach = 0.5 * (end - begin)
+    about = at_instant(effect, at.model, begin, begin + reach)
+    return at_instant(effect, at.model, *_best_pair(at, at.fit, None, about, reach))
+
+
 def _steps_about(at: Weighted, effect: Effect, model: Model, reach: float) -> list[Effect]:
     """An effect in a model at instants within reach of its own [s], inside the records."""
     start, stop = window_of(at)

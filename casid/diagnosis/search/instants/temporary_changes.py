@@ -8,24 +8,36 @@ the score of a step, G the products of their signatures,
 
 is the statistic of one unit of the change between them. A pair is refitted beside the steps where
 it promises more than the two parameters that its second instant costs.
+
+The instants of the steps are a coarse grid, on which what lasts a small part of an interval scores
+by how it happens to lie. Where the misfit has a burst, which begins and ends, every parameter is
+tested between the two instants about it that leave least.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from casid.arrays import TINY
+from casid.diagnosis.evidence.bursts import burst_of
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.score_tests import Score, ScoreTable
+from casid.diagnosis.evidence.score_tests import Score, ScoreTable, regressed
+from casid.diagnosis.search.jump_times import placed_about
 from casid.diagnosis.thresholds import COMPARISON, JUMPS, SHORTLIST
 from casid.model.effects.clock_effects import at_instant
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 
 
-def temporary_changes(at: Weighted, table: ScoreTable) -> list[Score]:
-    """The most promising changes for a while, each with the p of the steps of its parameter."""
+def temporary_changes(at: Weighted, table: ScoreTable, burst: Sequence[float] = ()) -> list[Score]:
+    """The most promising changes for a while, each with the p of the steps of its parameter.
+
+    Parameters
+    ----------
+    burst : when a burst of the misfit begins and ends [s], or nothing; about it a change is placed.
+    """
     steps: dict[tuple[str, str], list[int]] = {}
     for i, s in enumerate(table.scores):
         if s.effect.sets_in and s.is_visible and s.effect.variant is not None:
@@ -36,6 +48,8 @@ def temporary_changes(at: Weighted, table: ScoreTable) -> list[Score]:
     found = []
     for places in steps.values():
         best = _best_pair(at, table, places)
+        if best is not None and len(burst) == 2:
+            best = max(best, _scored_about(at, best, *burst), key=lambda s: s.unrobust)
         alone = max(table.scores[i].unrobust for i in places)
         if best is not None and best.unrobust > max(alone + more, least):
             found.append(best)
@@ -43,6 +57,21 @@ def temporary_changes(at: Weighted, table: ScoreTable) -> list[Score]:
     gains = [s for s in found if s.effect.is_new_gain][: SHORTLIST.gains]
     others = [s for s in found if not s.effect.is_new_gain][: SHORTLIST.passing]
     return sorted([*others, *gains], key=lambda s: -s.unrobust)
+
+
+def placed_changes(at: Weighted, table: ScoreTable) -> list[Score]:
+    """The most promising changes for a while, placed about the burst of the misfit, if any."""
+    return temporary_changes(at, table, burst_of(at))
+
+
+def _scored_about(at: Weighted, score: Score, begin: float, end: float) -> Score:
+    """A change for a while at the instants about a stretch [s] that leave least, scored there."""
+    effect = placed_about(at, score.effect, begin, end)
+    residual, signatures = regressed(at.fit, None, [effect])
+    own = signatures[:, 0]
+    energy, along = max(float(own @ own), TINY), float(own @ residual)
+    gain = along**2 / energy
+    return replace(score, effect=effect, energy=energy, step=along / energy, unrobust=gain)
 
 
 def _best_pair(at: Weighted, table: ScoreTable, places: list[int]) -> Score | None:

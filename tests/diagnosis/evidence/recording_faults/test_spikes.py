@@ -200,6 +200,26 @@ def test_what_happens_all_the_time_is_no_outlier():
     assert find_spikes("y", [r], ALPHA, largest_share=0.1) is not None
 
 
+def test_a_step_of_the_residual_is_no_outlier_whether_it_stays_or_decays():
+    """A step shows all of its d on one side, the first sample of a lag half, a spike half on both.
+
+    The sides differ by 1, 1/2 and 0 of d: of 20 and 25 here, with standard deviations sqrt(5/2)/20
+    = 0.08 and 0.06 by the noise.
+    """
+    for seed in range(20):
+        r = np.random.default_rng(seed).standard_normal(2000)
+        stays, lags = r.copy(), r.copy()
+        stays[1200:] += 40.0
+        lags[1200:1300] += 100.0 * (1 - 0.5 ** np.arange(1, 101))
+        for step in (stays, lags):
+            found = find_spikes("y", [step], ALPHA)
+            assert found is None or not found.masks[0][1195:1205].any()
+        r[300] += 12.0
+        found = find_spikes("y", [r], ALPHA)
+        assert found is not None
+        assert list(np.flatnonzero(found.masks[0])) == [300]
+
+
 def test_records_too_short_to_judge_have_no_outliers():
     r = np.zeros(19)
     r[9] = 100.0

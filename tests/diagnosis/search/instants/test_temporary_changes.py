@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import Family, Score, ScoreTable
 from casid.diagnosis.search.instants import temporary_changes as temporary
-from casid.diagnosis.search.instants.temporary_changes import temporary_changes
+from casid.diagnosis.search.instants.temporary_changes import placed_changes, temporary_changes
+from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import SHORTLIST
+from casid.estimation.holdout import split_records
+from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.clock_effects import bias_step, gain_step, offset_step
 from casid.model.effects.effect import Effect
 from casid.model.effects.parameter_effects import parameter_jump
@@ -178,3 +182,18 @@ def test_gains_of_channels_crowd_out_no_force():
     kinds = [s.effect.kind for s in found]
     assert kinds.count("sensor_scale") == SHORTLIST.gains
     assert "offset" in kinds
+
+
+def test_what_lasts_less_than_an_interval_of_the_grid_is_placed_about_the_burst_of_the_misfit():
+    """An inflow for 1.2 s, whose tangents are exact; the instants of steps are 5 s apart."""
+    m, split = leak().model, split_records([casid.Experiment(record(flows=0.5, end=26.2))], 0.3)
+    base = fit_model(m, split.fitted, FitSettings(starts=1))
+    weighing = Weighing(split.fitted)
+    at = weighing.weigh(m, base)
+    table = Search(weighing, {}).table(at, [])
+    (inflow,) = (s for s in placed_changes(at, table) if s.effect.kind == "offset")
+    assert abs(inflow.effect.constants["time"] - BEGIN) < TS
+    assert abs(inflow.effect.constants["end"] - 26.2) < TS
+    assert inflow.step == pytest.approx(0.5, rel=0.05)
+    (rough,) = (s for s in temporary_changes(at, table) if s.effect.kind == "offset")
+    assert rough.step < 0.8 * inflow.step
