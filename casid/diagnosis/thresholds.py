@@ -201,15 +201,6 @@ class Outliers:
     neighbours: tuple[float, float] = _is(
         (0.15, 0.85), "of a large spike, turned round, that its two neighbours show", _SPIKES
     )
-    uneven: float = _is(
-        0.25,
-        "of a large spike, by which its neighbours may differ: beside a step it is all of it, and "
-        "half where a first-order lag goes on from there",
-        _SPIKES,
-    )
-    by_noise: float = _is(
-        3.5, "standard deviations of that difference which noise alone may make", _SPIKES
-    )
     after_steps: int = _is(
         2, "samples after an input's step in which a spike may be a response to it", _SPIKES
     )
@@ -226,6 +217,21 @@ class Outliers:
         1 / 50,
         "of the false-alarm rate, spent on each test of samples in each channel",
         _SPIKES,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """When what stands out of a residual is a step of it, and no spike."""
+
+    uneven: float = _is(
+        0.25,
+        "of a large spike, by which its neighbours may differ: beside a step it is all of it, and "
+        "half where a first-order lag goes on from there",
+        _SPIKES,
+    )
+    by_noise: float = _is(
+        3.5, "standard deviations of that difference which noise alone may make", _SPIKES
     )
 
 
@@ -1356,6 +1362,7 @@ SUFFICIENCY = Sufficiency()
 BOUNDS = Bounds()
 CLIPPING = Clipping()
 OUTLIERS = Outliers()
+STEPS = Steps()
 STEPS_IN_GAPS = StepsInGaps()
 STEPS_BETWEEN_ROWS = StepsBetweenRows()
 DEAD_TIMES = DeadTimes()
@@ -1392,6 +1399,7 @@ GROUPS = (
     BOUNDS,
     CLIPPING,
     OUTLIERS,
+    STEPS,
     STEPS_IN_GAPS,
     STEPS_BETWEEN_ROWS,
     DEAD_TIMES,

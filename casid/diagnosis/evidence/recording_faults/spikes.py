@@ -30,7 +30,7 @@ from scipy.optimize import minimize
 from scipy.stats import mannwhitneyu, norm
 
 from casid.arrays import TINY, Array, BoolArray
-from casid.diagnosis.thresholds import OUTLIERS
+from casid.diagnosis.thresholds import OUTLIERS, STEPS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +227,7 @@ def _stands_alone(d: Array, k: int, sd: float, *, lasts: bool) -> bool:
         return True
     beside = np.array([-d[j] / d[k] for j in (k - 1, k + 1) if 0 < j < len(d) - 1])
     least, most = OUTLIERS.neighbours
-    uneven = max(OUTLIERS.uneven, OUTLIERS.by_noise * np.sqrt(5 / 3) * sd / abs(d[k]))
+    uneven = max(STEPS.uneven, STEPS.by_noise * np.sqrt(5 / 3) * sd / abs(d[k]))
     return bool(least < beside.mean() < most and (lasts or np.ptp(beside) < uneven))
 
 
