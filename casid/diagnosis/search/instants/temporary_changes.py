@@ -25,7 +25,7 @@ from casid.arrays import TINY
 from casid.diagnosis.evidence.bursts import burst_of
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable, regressed
-from casid.diagnosis.search.jump_times import placed_about
+from casid.diagnosis.search.instants.jump_times import placed_about
 from casid.diagnosis.thresholds import COMPARISON, JUMPS, SHORTLIST
 from casid.model.effects.clock_effects import at_instant
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
