@@ -191,7 +191,7 @@ def _estimate_of_fit(
     """
     say, undone = to
     fit, suspect = _fit(problem, split.fitted, settings, start, unstable, to)
-    if fit.solution.is_converged and settings.segments == 1:
+    if fit.solution.is_converged:
         alike = replace(settings, segments=fit.criterion.segments)
         by_errors = partial(weighted_by_errors, fit, alike)
         fit = undone.attempt("the weighing of outputs by their errors", by_errors) or fit

@@ -107,7 +107,8 @@ def test_a_disturbance_may_be_requested_as_well():
         assert own.parameter(name).value == pytest.approx(p.value, abs=0.01 * p.std_error)
 
 
-def test_a_noisy_output_takes_nothing_from_what_an_exact_one_tells():
+@pytest.mark.parametrize("segments", [1, 40])  # chosen, and as asked for
+def test_a_noisy_output_takes_nothing_from_what_an_exact_one_tells(segments: int):
     """In segments as in one piece, outputs count in units of the errors that they leave.
 
     A standard error of an estimate of the noise of 2000 samples scatters by some per cent.
@@ -121,8 +122,9 @@ def test_a_noisy_output_takes_nothing_from_what_an_exact_one_tells():
         {**record.units, "rate": "m/s"},
         Ts=TS,
     )
-    one = casid.identify(problem(), record, intervals="quick")
-    two = casid.identify(problem(has_rate=True), both, intervals="quick")
+    settings = FitSettings(segments=segments, starts=1)
+    one = casid.identify(problem(), record, settings=settings, intervals="quick")
+    two = casid.identify(problem(has_rate=True), both, settings=settings, intervals="quick")
     for name, true in TRUE.items():
         p = two.parameter(name)
         assert abs(p.value - true) < 3.5 * p.std_error
