@@ -94,14 +94,18 @@ def _fit(fit: Fit, own: Sequence[str], weighing: Weighing, settings: FitSettings
 
 
 def _estimates(fit: Fit, name: str) -> tuple[list[str], Array, Array]:
-    """Records, values (R,) and their joint covariance (R, R)."""
+    """Records, values (R,) and their joint covariance (R, R).
+
+    A record in which nothing moves by the parameter does not determine it, and is left out.
+    """
     c = fit.criterion
     rows = [
         (d.name, c.names.index(f"{name}@{d.name}")) for d in c.data if f"{name}@{d.name}" in c.names
     ]
-    index = [i for _, i in rows]
     free = np.ones(len(fit.x), dtype=bool)
     covariance, _ = sandwich(fit.solution.hessian, c.scores(fit.x), free)
+    rows = [(record, i) for record, i in rows if covariance[i, i] > 0.0]
+    index = [i for _, i in rows]
     return [r for r, _ in rows], fit.x[index], covariance[np.ix_(index, index)]
 
 
