@@ -76,7 +76,7 @@ class Disturbed:
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceSearch:
-    """Of the minimum of the prediction error of a problem, from `start`.
+    """A search of the least prediction error of a problem with disturbances, from `start`.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class DisturbanceSearch:
     began: float = field(default_factory=wall_clock)
 
     def minimum(self, disturbances: Sequence[Disturbance]) -> Disturbed:
-        """From least squares and the best sizes and frequencies of a grid."""
+        """The minimum found from least squares, and the best sizes and frequencies of a grid."""
         program = _Program(self.problem.model, self.split.fitted, disturbances, self.settings)
         problem, begin = self.without(disturbances), dict(self.start or {})
         fit = None

@@ -88,8 +88,9 @@ def identify_unstable(
 ) -> Estimate | None:
     """Estimate an unstable model that random disturbances push; None where that finds no optimum.
 
-    White ones in every place; where innovations are coloured, first-order ones in those that have
-    a size, if they are likelier (Akaike, IEEE Trans. Automatic Control 19 (1974) 716-723).
+    The disturbances are white, one in every place; where innovations are coloured, they are of
+    first order in those places where they have a size, if that is likelier (Akaike, IEEE Trans.
+    Automatic Control 19 (1974) 716-723).
 
     Parameters
     ----------
@@ -100,11 +101,12 @@ def identify_unstable(
     try:
         found = search.minimum([Disturbance(p) for p in places_of_forces(problem.model)])
         if coloured_innovations(found.prediction):
-            active = found.prediction.solution.active
-            acting = [d for d in found.disturbances if d.size not in active]
-            coloured = partial(search.minimum, [replace(d, spectrum="first") for d in acting])
-            likelier = undone.attempt("the search of coloured disturbances", coloured) or found
-            found = min((found, likelier), key=lambda f: f.prediction.aic)
+            found = (
+                undone.attempt(
+                    "the search of coloured disturbances", partial(_coloured, search, found)
+                )
+                or found
+            )
         estimate = _completed(search, found, intervals, budget, undone)
     except OutOfTimeError:
         raise
@@ -113,6 +115,20 @@ def identify_unstable(
     named = " ".join(f"--disturbance {d.place}:{d.spectrum}" for d in found.disturbances)
     evidence = {**estimate.evidence, "disturbances": _WHY_DISTURBED.format(named=named)}
     return replace(estimate, trust=replace(estimate.trust, evidence=evidence))
+
+
+def _coloured(search: DisturbanceSearch, white: Disturbed) -> Disturbed:
+    """The minimum with first-order disturbances where white ones act, if it is likelier."""
+    active = white.prediction.solution.active
+    acting = [replace(d, spectrum="first") for d in white.disturbances if d.size not in active]
+    try:
+        found = search.minimum(acting) if acting else white
+    except OutOfTimeError:
+        raise
+    except CasidError:
+        return white
+    is_likelier = found.prediction.aic < white.prediction.aic
+    return found if is_likelier and found.prediction.solution.is_converged else white
 
 
 def _completed(

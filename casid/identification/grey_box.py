@@ -37,6 +37,7 @@ from casid.identifiability.requirement import require_identifiable
 from casid.linear.kalman import Predictor
 from casid.linear.noisy_model import White
 from casid.model.model import Model
+from casid.model.units import unit_quotient
 from casid.presentation import Presented
 from casid.time_limit import seconds_left
 
@@ -413,9 +414,9 @@ def _unit(criterion: Criterion, name: str, source: str) -> str:
         return model.parameters[source].unit
     if source in model.states and name.startswith(f"{source}(0)"):
         return model.states[source].unit
-    if source in model.outputs:
-        return f"({model.outputs[source][1]})^2"
-    return f"({unit_of_force(model, source)})^2" + (" s" if name.startswith("psd") else "")
+    own = model.outputs[source][1] if source in model.outputs else unit_of_force(model, source)
+    squared = unit_quotient("1", own, -2)
+    return unit_quotient(squared, "s", -1) if name.startswith("psd") else squared
 
 
 def _estimate(

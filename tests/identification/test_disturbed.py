@@ -416,6 +416,7 @@ def test_a_simulation_that_diverges_does_not_keep_a_disturbance_from_being_estim
     assert abs(row.value - g) < 3 * row.std_error
     size = found.parameter("size of disturbance in torque")
     assert abs(size.value - 0.3) < 3 * size.std_error
+    assert found.parameter("var(a)").unit == "rad^2"
 
 
 @pytest.mark.parametrize(
