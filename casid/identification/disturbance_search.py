@@ -137,7 +137,7 @@ def _simulated(
             if unstable.is_disturbed:
                 return None, unstable.values
             in_segments = fit_in_segments(
-                problem, experiments, once, start, lambda _: None, whole=unstable.whole
+                problem, experiments, once, start, unstable, lambda _: None
             )
             if in_segments is not None:
                 return in_segments, {}

@@ -393,7 +393,7 @@ def _by_prediction_error(
 ) -> tuple[InWindows | None, Estimate | None]:
     """A model that no simulation stays with, and an estimate that is not by simulation error.
 
-    That is by prediction error, with the disturbances that are asked for, or with those that show
+    That is by prediction error, with the disturbances that are requested, or with those that show
     where an unstable model is pushed.
     """
     if disturbances:
@@ -420,7 +420,7 @@ def _by_prediction_error(
 
 
 def _is_free(settings: FitSettings) -> bool:
-    """Whether the fit has no constraints, and no segments that were asked for."""
+    """Whether the fit has neither constraints nor a requested number of segments."""
     return not settings.constraints and settings.segments == 1
 
 
@@ -439,8 +439,7 @@ def _fit(
     say, undone = to
     checks_signs = _is_free(settings)
     if unstable is not None:
-        whole = unstable.whole
-        in_segments = fit_in_segments(problem, experiments, settings, start, say, whole=whole)
+        in_segments = fit_in_segments(problem, experiments, settings, start, unstable, say)
         if in_segments is not None:
             return in_segments, None
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,27 +19,61 @@ from casid.model.model import Model
 from casid.model.quantities import quantity_text
 
 
-def values_in_windows(
+@dataclass(frozen=True, slots=True)
+class ShortWindows:
+    """Windows over which simulations of an unstable model stay with its records.
+
+    Attributes
+    ----------
+    samples : of a window, the longest that tells of every unknown.
+    values : the parameters of a fit in windows, by variable name; none where no fit was found.
+    """
+
+    samples: int
+    values: dict[str, float]
+
+
+def short_windows(
     criterion: SimulationError,
     settings: FitSettings,
     say: Callable[[str], None],
-) -> dict[str, float]:
-    """The parameters of a fit in windows, each of which begins in a state of its own.
-
-    In shorter ones where simulations leave the record, the fit ends where the model is stable, or
-    it is poor: over long windows it has minima far from the truth, and over short ones what is
-    missing counts little. None where no fit is found in the shortest.
+    start: Mapping[str, float] | None = None,
+) -> ShortWindows:
+    """The windows for records of an unstable model, at the values of a fit in such windows.
 
     Parameters
     ----------
-    criterion : of whole records, at the declared start.
+    criterion : of whole records.
+    start : where the fit begins, over the declared start.
     """
-    window, records = longest_informative_window(criterion, {}), criterion.experiments
+    values = _values_in_windows(criterion, settings, say, start or {})
+    at = criterion.of_records(criterion.experiments, start=values)
+    return ShortWindows(_longest_informative_window(at, values), values)
+
+
+def windowed_records(experiments: Sequence[Experiment], samples: int) -> list[Experiment]:
+    """The records in windows of so many samples, each of which begins in a state of its own."""
+    return [replace(e, window=samples) for e in experiments]
+
+
+def _values_in_windows(
+    criterion: SimulationError,
+    settings: FitSettings,
+    say: Callable[[str], None],
+    start: Mapping[str, float],
+) -> dict[str, float]:
+    """The parameters of a fit in windows; none where none is found in the shortest.
+
+    In shorter ones where simulations leave the record, the fit ends where the model is stable, or
+    it is poor: over long windows it has minima far from the truth, and over short ones what is
+    missing counts little.
+    """
+    window, records = _longest_informative_window(criterion, start), criterion.experiments
     values: dict[str, float] = {}
     while window >= fewest_samples(criterion):
         say(f"fit it in windows of {quantity_text(window * criterion.data[0].Ts, 's')}")
-        cut = [replace(e, window=window) for e in records]
-        fit = tried(criterion.model, cut, replace(settings, starts=1))
+        cut, once = windowed_records(records, window), replace(settings, starts=1)
+        fit = tried(criterion.model, cut, once, start)
         if fit is not None:
             named = zip(fit.criterion.variables, fit.x.tolist(), strict=True)
             found = {v.name: x for v, x in named if v.source in criterion.model.parameters}
@@ -51,15 +85,14 @@ def values_in_windows(
     return values
 
 
-def longest_informative_window(criterion: SimulationError, start: Mapping[str, float]) -> int:
+def _longest_informative_window(criterion: SimulationError, start: Mapping[str, float]) -> int:
     """The window for records at their `start`, halved while simulations over it leave them.
 
     A model that lacks something may seem to grow more slowly than what was measured does.
     """
     window, least = window_for(criterion), fewest_samples(criterion)
     while window > least:
-        records = [replace(e, window=window) for e in criterion.experiments]
-        cut = criterion.of_records(records, start=start)
+        cut = criterion.of_records(windowed_records(criterion.experiments, window), start=start)
         at = cut.evaluate(cut.start)
         finite = np.isfinite(at.value) and np.all(np.isfinite(at.hessian))
         if finite and rank_of(cut.variables, at.hessian, cut.start).is_full:

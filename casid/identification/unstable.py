@@ -18,11 +18,7 @@ from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
 from casid.estimation.simulation.instability import segments_for
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.identification.short_windows import (
-    longest_informative_window,
-    tried,
-    values_in_windows,
-)
+from casid.identification.short_windows import short_windows, tried, windowed_records
 from casid.identification.signs_from_simulation import is_poor
 
 
@@ -34,11 +30,13 @@ class InWindows:
     ----------
     values : the parameters, by variable name; none where no fit was found.
     is_disturbed : whether simulations over a window err by more than white noise.
+    segments : into which a record is to be divided for multiple shooting.
     whole : the poor fit of whole records; None where there is none.
     """
 
     values: dict[str, float]
     is_disturbed: bool
+    segments: int
     whole: Fit | None
 
 
@@ -55,19 +53,19 @@ def unstable_in_windows(
     that leaves an unstable equilibrium once).
     """
     criterion = SimulationError(problem.model, experiments, own=settings.own, start=start)
-    if segments_for(criterion) == 1:
+    segments = segments_for(criterion)
+    if segments == 1:
         return None
     say("the model is unstable: fit the whole record once")
     once = replace(settings, starts=1)
     whole = tried(problem.model, experiments, once, start)
     if whole is not None and not is_poor(whole):
         return None
-    values = values_in_windows(criterion, settings, say)
-    window = longest_informative_window(criterion.of_records(experiments, start=values), values)
-    cut = [replace(e, window=window) for e in experiments]
-    fit = tried(problem.model, cut, once, values)
+    windows = short_windows(criterion, settings, say, start)
+    cut = windowed_records(experiments, windows.samples)
+    fit = tried(problem.model, cut, once, windows.values)
     is_white = fit is not None and _is_white(weighted_by_errors(fit, once))
-    return InWindows(values, not is_white, whole)
+    return InWindows(windows.values, not is_white, segments, whole)
 
 
 def _is_white(fit: Fit) -> bool:
@@ -85,21 +83,13 @@ def fit_in_segments(
     experiments: Sequence[Experiment],
     settings: FitSettings,
     start: Mapping[str, float] | None,
+    unstable: InWindows,
     say: Callable[[str], None],
-    *,
-    whole: Fit | None,
 ) -> Fit | None:
-    """The fit by multiple shooting; None where none is found, or that of whole records is better.
-
-    Parameters
-    ----------
-    whole : the fit of whole records, if there is one.
-    """
-    segments = segments_for(
-        SimulationError(problem.model, experiments, own=settings.own, start=start)
-    )
-    say(f"fit it in {segments} segments")
-    parts = tried(problem.model, experiments, replace(settings, segments=segments), start)
+    """The fit by multiple shooting; None without one, or where that of whole records is better."""
+    say(f"fit it in {unstable.segments} segments")
+    divided = replace(settings, segments=unstable.segments)
+    parts, whole = tried(problem.model, experiments, divided, start), unstable.whole
     if parts is None or (whole is not None and whole.solution.value <= parts.solution.value):
         return None
     return parts

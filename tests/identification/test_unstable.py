@@ -12,6 +12,7 @@ import casid
 from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.instability import growth_rate, segments_for
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.identification.short_windows import short_windows
 
 TRUE = {"a": 900.0, "b": 25.0}  # z'' = a z + b u + w
 TS, N, NOISE = 0.002, 2000, 1e-5
@@ -67,6 +68,16 @@ def test_errors_grow_by_the_unstable_pole():
     assert segments_for(criterion(700.0)) == np.ceil(np.sqrt(700.0) * N * TS / 3.0)
 
 
+def test_a_fit_in_short_windows_begins_at_a_given_start():
+    """Where the declared start is a stable model, there are no windows to fit from it."""
+    c, settings = criterion(-700.0), FitSettings(starts=1)
+    assert short_windows(c, settings, str).values == {}
+    found = short_windows(
+        c.of_records(c.experiments, start={"a": 700.0}), settings, str, {"a": 700.0}
+    )
+    assert found.values["a"] == pytest.approx(TRUE["a"], rel=0.05)
+
+
 def test_segments_are_chosen_and_what_is_held_out_is_simulated_in_windows():
     """The parameters within 3.5 standard errors, and errors as large as the noise of the sensor.
 
@@ -107,7 +118,7 @@ def test_a_disturbance_may_be_requested_as_well():
         assert own.parameter(name).value == pytest.approx(p.value, abs=0.01 * p.std_error)
 
 
-@pytest.mark.parametrize("segments", [1, 40])  # chosen, and as asked for
+@pytest.mark.parametrize("segments", [1, 40])  # chosen, and requested
 def test_a_noisy_output_takes_nothing_from_what_an_exact_one_tells(segments: int):
     """In segments as in one piece, outputs count in units of the errors that they leave.
 

@@ -40,7 +40,7 @@ def gains_under_disturbance(
     passing: float,
     under: NoiseModel | None = None,
 ) -> Iterator[float]:
-    """The gains in log-likelihood that single effects give, computed as they are asked for.
+    """The gains in log-likelihood that single effects give, one after another.
 
     The first gains are those under the disturbance adjusted once; only effects whose first gain is
     a share of `passing` (`DISTURBED.followed`) are computed with the disturbance estimated again,

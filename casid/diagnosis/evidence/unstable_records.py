@@ -13,12 +13,11 @@ long windows are to be.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from casid.data.experiment import Experiment
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, whole_simulation
 from casid.estimation.simulation.fit import FitSettings
@@ -26,11 +25,7 @@ from casid.estimation.simulation.instability import growth_rate, window_for
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INSTABILITY
-from casid.identification.short_windows import (
-    longest_informative_window,
-    tried,
-    values_in_windows,
-)
+from casid.identification.short_windows import short_windows, tried, windowed_records
 from casid.identification.signs_from_simulation import is_poor
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
@@ -51,17 +46,17 @@ def records_in_windows(
     whole = tried(model, split.fitted, replace(settings, starts=1))
     if whole is not None and not (is_poor(whole) or _runs_away(whole, split)):
         return split, "", {}
-    start = values_in_windows(criterion, settings, say)
+    windows = short_windows(criterion, settings, say)
+    samples, start = windows.samples, windows.values
     criterion = criterion.of_records(split.fitted, start=start)
-    window = longest_informative_window(criterion, start)
-    seconds = quantity_text(window * criterion.data[0].Ts, "s")
+    seconds = quantity_text(samples * criterion.data[0].Ts, "s")
     apart = quantity_text(1 / growth_rate(criterion), "s")
     say(f"simulate it in windows of {seconds}")
-
-    def windowed(experiments: Sequence[Experiment]) -> list[Experiment]:
-        return [replace(e, window=window) for e in experiments]
-
-    cut = Split(windowed(split.fitted), windowed(split.whole), split.held, windowed(split.apart))
+    fitted, whole_records = (
+        windowed_records(split.fitted, samples),
+        windowed_records(split.whole, samples),
+    )
+    cut = Split(fitted, whole_records, split.held, windowed_records(split.apart, samples))
     at = "the values of a fit in short windows" if start else "the start values"
     return (
         cut,
