@@ -31,7 +31,6 @@ from casid.estimation.prediction_error.extended_likelihood import (
     ExtendedPredictionError,
 )
 from casid.estimation.prediction_error.likelihood import CriterionOptions, PredictionError
-from casid.estimation.simulation.step_length import moves_likelihood, moves_minimum
 from casid.estimation.simulation.thresholds import STEPS
 from casid.identifiability.requirement import require_identifiable
 from casid.linear.kalman import Predictor
@@ -460,3 +459,25 @@ def _gain(criterion: Criterion) -> str:
         return "extended Kalman filter"
     gain = "steady-state" if criterion.initial is None else "time-varying"
     return f"{gain} Kalman predictor"
+
+
+def moves_likelihood(coarse: float, fine: float, samples: int) -> bool:
+    """True if half the step changes the logarithm of a likelihood of so many samples too much.
+
+    The coarse one overflowing counts as a change, both of them as none: finer is no better.
+    """
+    if np.isfinite(fine) and not np.isfinite(coarse):
+        return True
+    return bool(abs(fine - coarse) > STEPS.filter_at_start * samples)
+
+
+def moves_minimum(gradient: Array, hessian: Array) -> bool:
+    """True if half the step moves a minimum by too much of its standard errors.
+
+    Parameters
+    ----------
+    gradient : (n,) what half the step adds to that of minus the log likelihood at the minimum.
+    hessian : (n, n) Fisher information there.
+    """
+    length = gradient @ np.linalg.pinv(hessian, rcond=1e-12) @ gradient
+    return bool(np.sqrt(abs(length)) > STEPS.filter_at_end)

@@ -76,8 +76,8 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     "IterativeJoint": {"document": "texts.estimates.iterative_document"},
     "Model": {"view": "pages.model_page.model_view"},
     "ModelComparison": {
-        "document": "texts.model_comparison.model_comparison_document",
-        "figure": "figures.model_comparison.model_comparison_figure",
+        "document": "texts.estimates.model_comparison_document",
+        "figure": "figures.channels.model_comparison_figure",
     },
     "ModuleEstimate": {"document": "texts.networks.module_document"},
     "MomentEstimate": {
@@ -103,7 +103,7 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     "Reconciled": {"document": "texts.estimates.reconciled_document"},
     "Record": {
         "document": "texts.records.record_document",
-        "figure": "figures.records.record_figure",
+        "figure": "figures.channels.record_figure",
     },
     "ReducedForm": {"document": "texts.identifiability.reduced_document"},
     "RegressionEstimate": {"document": "texts.estimates.regression_document"},
@@ -117,7 +117,7 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     "UnknownInputComparison": {"document": "texts.remedies.options_document"},
     "Validation": {
         "document": "texts.moments.validation_document",
-        "figure": "figures.validation.validation_figure",
+        "figure": "figures.channels.validation_figure",
     },
 }
 """Name of a class -> form -> function that makes it, below `casid.report`."""

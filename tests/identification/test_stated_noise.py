@@ -7,7 +7,7 @@ import pytest
 
 import casid
 from casid.estimation.noise.noise_floor import floor_error
-from casid.identification.stated_noise import notes_on_stated_noise
+from casid.identification.problem_notes import notes_on_stated_noise
 
 SD, N, TS = 0.12, 1000, 0.05  # m/s^2, samples, s
 

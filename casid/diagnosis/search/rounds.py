@@ -18,6 +18,7 @@ from casid.diagnosis.attempts import Attempts, reason_of
 from casid.diagnosis.evidence.cogging_periods import CoggingCandidate, cogging_candidates
 from casid.diagnosis.evidence.loop_references import loop_references
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import (
     Score,
     ScoreTable,
@@ -39,7 +40,6 @@ from casid.diagnosis.search.instants.jump_times import events_of, is_known_event
 from casid.diagnosis.search.instants.temporary_changes import placed_changes
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.lags_of_channels import delays_of_best, lags_beside
-from casid.diagnosis.search.memory import Memory
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.search.soft_stops import without_soft_stops
 from casid.diagnosis.search.swinging_parts import beside_lines
@@ -54,6 +54,27 @@ from casid.model.effects.structure_effects import mode_frequencies, modes_at
 from casid.model.effects.user_effects import UserEffect, user_effects
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
+
+
+@dataclass(slots=True)
+class Memory:
+    """Results kept, shared by the searches with and without disturbances in the noise.
+
+    Attributes
+    ----------
+    tested : the last model whose residual was tested.
+    disturbed : fit -> the model under the disturbances that its residual shows.
+    tables : of a model and the causes that are in it -> the scores of all effects.
+    refits : of a model without causes -> its shortlist as refitted, as large as the records each.
+    references : recorded channels that are references of a control loop; None until sought.
+    """
+
+    tested: tuple[Weighted, ResidualTests] | None = None
+    disturbed: dict[Fit, Weighted] = field(default_factory=dict)
+    tables: dict[tuple[Weighted, tuple[Candidate, ...]], ScoreTable] = field(default_factory=dict)
+    refits: dict[Weighted, list[Candidate]] = field(default_factory=dict)
+    references: tuple[str, ...] | None = None
+
 
 _OVERFLOWS = "its sensitivities overflow in the simulation of the model"
 

@@ -16,7 +16,6 @@ from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign, with_the_sizes
 from casid.diagnosis.verdict.error_bars import bars_of, unknown_sizes
-from casid.diagnosis.verdict.exact_constants import exact_constants
 from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
@@ -56,6 +55,7 @@ from casid.estimation.simulation.simulation_estimate import (
     channel_notes,
     estimate_of,
 )
+from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -438,3 +438,18 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
     notes += refusal_notes(search.refused, judged.causes)
     notes += [why for why in search.refitting.left_out.values() if why]
     return (*notes, *search.attempts.notes())
+
+
+def exact_constants(model: Model) -> tuple[str, ...]:
+    """A note that names the constants of a model, which no cause stands for; none without any.
+
+    Where one is wrong or changes, what it does is named as another effect that does much the same.
+    """
+    names = [name for name, p in model.parameters.items() if p.is_constant]
+    if not names:
+        return ()
+    return (
+        f"taken as exact, as `constant` declares, and never suspected: {', '.join(names)}. Where "
+        "one may be wrong or may change, as an efficiency may, declare it "
+        "`parameter(name, unit, value=)`: the causes named here may stand for it",
+    )

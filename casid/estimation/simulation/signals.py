@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.data.channel_quality import quantisation_step
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, UnitError
 from casid.estimation.simulation.input_gaps import doubtful_inputs, filled, require_short_gaps
 from casid.estimation.simulation.own_instants import Instants, own_instants
-from casid.estimation.simulation.rounding import rounding_of
+from casid.estimation.simulation.thresholds import READINGS
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si
 
@@ -238,3 +239,28 @@ def _require_channels(model: Model, record: Record, names: Iterable[str]) -> Non
                 f"{describe_dimension(expected.dimension)} in base units); map the channel that "
                 f"measures it, or give its true unit: Record(..., units={{{name!r}: {unit!r}}})"
             ) from None
+
+
+def rounding_of(values: Array) -> float:
+    """Standard deviation of the rounding of a measured input (N,), 0 where it is not rounded so.
+
+    A channel that repeats most of its readings shows no noise near Nyquist, and is not exact for
+    that: its error is uniform within a step (Widrow and Kollar, Quantization Noise, Cambridge 2008,
+    chapter 5). Near rest it is a part of the signal, and passes for dry friction or a dead zone
+    where it is taken for none.
+
+    A command has levels of its own and no error: it goes from one to another by many steps at once,
+    or at a rate of its own (a rudder that its gear turns), one equal step after the other.
+    """
+    step = quantisation_step(values)
+    if step is None or np.mean(np.diff(values) != 0.0) >= 1 - READINGS.repeated:
+        return 0.0
+    counts = np.round((values - values.min()) / step)
+    if len(np.unique(counts)) < READINGS.levels:
+        return 0.0
+    moves = np.diff(counts)
+    is_alone = np.abs(moves) == 1
+    is_alone[1:] &= moves[1:] != moves[:-1]
+    is_alone[:-1] &= moves[:-1] != moves[1:]
+    share = is_alone.sum() / max(np.count_nonzero(moves), 1)
+    return step / float(np.sqrt(12.0)) if share >= READINGS.single else 0.0

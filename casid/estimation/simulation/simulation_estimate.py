@@ -20,8 +20,8 @@ from casid.estimation.holdout import HeldOut
 from casid.estimation.simulation.input_gaps import gap_notes
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.record_agreement import disagreements
-from casid.estimation.simulation.simulation_error import Whitener
-from casid.estimation.simulation.tangents import steeper_than_simulation
+from casid.estimation.simulation.simulation_error import SimulationError, Whitener
+from casid.estimation.simulation.thresholds import TANGENTS
 from casid.model.model import Model
 
 SOURCES = (
@@ -177,3 +177,34 @@ def _held_out(outputs: Sequence[str], held: Sequence[HeldOut]) -> Agreement:
         {h.name: by_output(rms(errors[h.name])) for h in held},
         {h.name: by_output(nrmse_fit(h.measured, errors[h.name])) for h in held},
     )
+
+
+_ROOT = float(np.sqrt(np.finfo(float).eps))  # the relative step of a difference quotient
+
+
+def steeper_than_simulation(criterion: SimulationError, x: Array, hessian: Array) -> list[str]:
+    """Unknowns whose tangents promise far more than the simulation does, a small step away.
+
+    Every standard error takes the tangent of a simulation to be its slope. Where a model is
+    singular or its steps are unstable, a tangent grows without bound while the simulation itself
+    stays in its range: it changes direction at every rounding. J'J is then huge, and its inverse
+    no covariance.
+
+    Only where the criterion alone would determine one to within that step: others need no test.
+    """
+    found = []
+    slope = np.sqrt(np.maximum(np.diag(hessian), 0.0))  # of the weighted simulation, all samples
+    for i, v in enumerate(criterion.variables):
+        h = _ROOT * abs(float(x[i]))
+        if h == 0.0 or slope[i] * h <= 1.0:  # with errors of about one unit of their spread
+            continue
+        there = x.copy()
+        there[i] += h
+        total = 0.0
+        with np.errstate(all="ignore"):
+            for e, d in enumerate(criterion.data):
+                moved = criterion.simulate(there, e)[0] - criterion.simulate(x, e)[0]
+                total += float(np.sum((moved * d.used * criterion.weights) ** 2))
+        if not slope[i] * h <= TANGENTS.ratio * np.sqrt(total):
+            found.append(v.name)
+    return found

@@ -8,8 +8,7 @@ from typing import Protocol
 
 import casadi as ca
 
-from casid.identifiability.rank.program import Terms
-from casid.identifiability.rank.terms import UNIT, added, scaled
+from casid.identifiability.rank.program import UNIT, Terms, added, scaled
 
 
 class Reader(Protocol):

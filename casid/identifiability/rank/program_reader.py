@@ -16,8 +16,17 @@ from casid.algebra.symbolic import exact, operation_name, run_instructions
 from casid.errors import ModelError
 from casid.identifiability.equations.system import System
 from casid.identifiability.rank.immersion import SPECIAL
-from casid.identifiability.rank.program import ONE, Primitive, Program, Terms, drop_unused
-from casid.identifiability.rank.terms import added, common_unit, constant_of, scaled
+from casid.identifiability.rank.program import (
+    ONE,
+    Primitive,
+    Program,
+    Terms,
+    added,
+    common_unit,
+    constant_of,
+    drop_unused,
+    scaled,
+)
 
 Kind = Literal["sum", "product", "primitive"]
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from casid.campaigns.monte_carlo import MonteCarlo
 from casid.estimation.estimate import Estimate, Estimated
+from casid.estimation.fitted.model_comparison import ModelComparison
 from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.reconciliation import Reconciled
 from casid.estimation.regression.regression_estimate import RegressionEstimate
@@ -239,3 +240,18 @@ def monte_carlo_document(result: MonteCarlo) -> Document:
         label=8,
         width=_WIDEST,
     )  # fmt: skip
+
+
+def model_comparison_document(found: ModelComparison) -> Document:
+    """Fit in per cent and RMS error of every output, a row a model."""
+    head = ["model"]
+    for output, unit in zip(found.outputs, found.units, strict=True):
+        head += [f"{output} [%]", f"rms [{unit}]"]
+    rows = []
+    for model in found.fit:
+        cells = [model]
+        for output in found.outputs:
+            cells += [f"{found.fit[model][output]:.2f}", f"{found.rmse[model][output]:.4g}"]
+        rows.append(cells)
+    table = Table(head, rows, numbers=range(1, len(head)))
+    return Document(f"Fit to {found.record}, {found.how}", [table])

@@ -8,7 +8,7 @@ import pytest
 import casid
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.simulation.tangents import steeper_than_simulation
+from casid.estimation.simulation.simulation_estimate import steeper_than_simulation
 
 
 def doubling(gain: float) -> casid.Model:
