@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casid.argument_types import methods_name_wrong_types
-from casid.arrays import BoolArray, FloatArray
+from casid.arrays import Array, BoolArray, FloatArray
 from casid.data.record_methods import RecordMethods
 from casid.errors import DataError
 from casid.model.quantities import count_text, window_text
@@ -351,6 +351,17 @@ class Record(RecordMethods, Presented, PickledByFields):
             f"<Record {self.name}: N = {self.N}, {count_text(len(self.channels), 'channel')} "
             f"({', '.join(self.names)}), Ts = {self.Ts:.6g} s, {self.duration:.6g} s long>"
         )
+
+
+def with_samples(record: Record, channel: str, values: Array) -> Record:
+    """The record with other samples (N,) of a channel, SI units; it misses the same ones.
+
+    Those missing need not be finite.
+    """
+    mask = record.is_missing(channel)
+    finite = np.where(mask & ~np.isfinite(values), 0.0, values)
+    new = record.with_channel(channel, finite, record.units[channel])
+    return new.mark_missing(channel, mask) if mask.any() else new
 
 
 def _check_clock(name: str, Ts: object, t0: object) -> None:

@@ -5,22 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from casid.data.experiment import Experiment
-from casid.data.record import Record
+from casid.data.record import with_samples
 
 
 def negated(experiments: Sequence[Experiment], channel: str) -> list[Experiment]:
     """The experiments with one channel negated."""
-    return [replace(e, record=_negated(e.record, channel)) for e in experiments]
-
-
-def _negated(record: Record, channel: str) -> Record:
-    mask = record.is_missing(channel)  # where samples may be NaN
-    values = np.where(mask, 0.0, -record[channel])
-    turned = record.with_channel(channel, values, record.units[channel])
-    return turned.mark_missing(channel, mask) if mask.any() else turned
+    return [
+        replace(e, record=with_samples(e.record, channel, -e.record[channel])) for e in experiments
+    ]
 
 
 def sign_correction(channel: str) -> str:

@@ -410,21 +410,6 @@ def describe_dimension(dimension: Dimension) -> str:
     return _written(dict(zip(BASE_UNITS, dimension, strict=True)))
 
 
-def unit_names() -> tuple[str, ...]:
-    """Return the names of the list, without aliases."""
-    return tuple(NAMES)
-
-
-def unit_aliases() -> dict[str, str]:
-    """Return the aliases and their meanings."""
-    return dict(ALIASES)
-
-
-def ambiguous_units() -> dict[str, str]:
-    """Return the names that are refused, and what each may mean."""
-    return dict(AMBIGUOUS)
-
-
 def pint_expression(text: str) -> str:
     """Return the same unit in pint's own words, by which the list is checked.
 

@@ -7,8 +7,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from casid.errors import UnitError
-from casid.model.unit_names import ALIASES, NAMES
-from casid.model.units import ambiguous_units, parse_unit, same_dimension
+from casid.model.unit_names import ALIASES, AMBIGUOUS, NAMES
+from casid.model.units import parse_unit, same_dimension
 
 _ENCLOSED = r"\s*/?\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*([^>]*?)\s*>)"
 _BRACKET = re.compile(rf"(.*?){_ENCLOSED}\s*(.*)")
@@ -240,7 +240,7 @@ def _in_full(word: str) -> str | None:
 
 
 def _readings_of(text: str) -> str:
-    return ambiguous_units().get(text) or _TWO_FOLD.get(text.casefold(), "")
+    return AMBIGUOUS.get(text) or _TWO_FOLD.get(text.casefold(), "")
 
 
 def settled(found: HeaderUnit, target: str) -> str | None:

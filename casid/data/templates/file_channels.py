@@ -24,7 +24,8 @@ from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import Record
 from casid.errors import DataError, nearest
 from casid.model.quantities import window_text
-from casid.model.units import parse_unit, unit_aliases
+from casid.model.unit_names import ALIASES
+from casid.model.units import parse_unit
 
 _COUNTING = 0.99  # of the steps of a column that counts rows, at least, are the same; heuristic
 _COPY = 1e-6  # of its largest deviation: a column of seven digits computed from another; heuristic
@@ -263,7 +264,7 @@ def _channels(
             left_out[column] = "it holds no values in this window"
             continue
         name = free_name(identifier(stem_of(column)), {c.name for c in channels})
-        known = unit_aliases().get(unit, unit) if unit is not None else None
+        known = ALIASES.get(unit, unit) if unit is not None else None
         channel = FileChannel(name, column, known, record.filled(column), doubts[column])
         if (step := channel.step_of_count) is not None:
             left_out[column] = (

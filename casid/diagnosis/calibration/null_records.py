@@ -18,13 +18,13 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
-from casid.data.record import Record
+from casid.data.record import with_samples
 from casid.errors import SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, parts_of
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import name_of_force, with_forces
-from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.signals import noisy_inputs
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
@@ -79,16 +79,51 @@ def _gain(noise: NoiseModel, source: str) -> float:
     return sum(float(r.gain2[:, :, r.sources.index(source)].mean()) for r in noise.responses)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Recipe:
+    """All that null records are drawn from; free of CasADi objects, so that it can be pickled.
+
+    Attributes
+    ----------
+    whole, apart : the recorded experiments, to their end, and those held out as a whole.
+    hold_out : share of every record of `whole` that is held out at its end.
+    values : variable -> estimate; those of initial states count for `whole`.
+    own : parameters that every experiment has for itself.
+    weights, substeps : of the fit.
+    """
+
+    whole: tuple[Experiment, ...]
+    apart: tuple[Experiment, ...]
+    hold_out: float
+    values: Mapping[str, float]
+    noise: NullNoise
+    own: tuple[str, ...]
+    weights: Array
+    substeps: int
+
+    @staticmethod
+    def of(
+        split: Split, criterion: SimulationError, values: Mapping[str, float], noise: NullNoise
+    ) -> Recipe:
+        """The recipe of records as they are split, fitted by a criterion, under the noise found."""
+        return Recipe(
+            whole=tuple(split.whole),
+            apart=tuple(split.apart),
+            hold_out=_share(split),
+            values=values,
+            noise=noise,
+            own=tuple(criterion.own),
+            weights=criterion.weights,
+            substeps=criterion.substeps,
+        )
+
+
 class NullRecords:
     """Draws the fitted and held-out records anew, as the model at its estimate would give them.
 
     Parameters
     ----------
     model : as it is, without any cause.
-    whole, apart : the recorded experiments, to their end, and those held out as a whole.
-    values : variable -> estimate; those of initial states count for `whole`.
-    own : parameters that every experiment has for itself.
-    weights, substeps : of the fit.
 
     Raises
     ------
@@ -96,25 +131,15 @@ class NullRecords:
         If the simulation at the estimate diverges.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        whole: Sequence[Experiment],
-        apart: Sequence[Experiment],
-        values: Mapping[str, float],
-        noise: NullNoise,
-        *,
-        own: Sequence[str] = (),
-        weights: Array,
-        substeps: int,
-    ) -> None:
-        self.noise = noise
-        self.whole, self.apart = list(whole), list(apart)
+    def __init__(self, model: Model, recipe: Recipe) -> None:
+        noise, values, own = recipe.noise, recipe.values, recipe.own
+        whole, apart = list(recipe.whole), list(recipe.apart)
+        self.noise, self.whole, self.apart = noise, whole, apart
         places = (p.place for n in noise.disturbances for p in parts_of(n, noise.spectra))
         forced = list(dict.fromkeys(n for n in places if n not in model.inputs))
         disturbed = with_forces(model, forced, "measured")
         self._criteria: list[tuple[SimulationError, Array]] = []
-        settings: dict[str, Any] = {"weights": weights, "substeps": substeps}
+        settings: dict[str, Any] = {"weights": recipe.weights, "substeps": recipe.substeps}
         channels = disturbed.inputs.keys() - model.inputs.keys()
         added = {n: disturbed.inputs[n].unit for n in channels}
         if whole:
@@ -178,36 +203,12 @@ class NullRecords:
         for i, name in enumerate(criterion.outputs):
             noise = self.noise.outputs[name] * rng.standard_normal(d.N)
             values = y[:, i] + noise * d.relative_sizes[:, i]
-            record = _with(record, name, values)
+            record = with_samples(record, name, values)
         here = noisy_inputs(criterion.data, e)
         for name, sd in self.noise.inputs.items():
             noise = sd * here[_column(criterion.model, name)] * rng.standard_normal(d.N)
-            record = _with(record, name, record[name] + noise)
+            record = with_samples(record, name, record[name] + noise)
         return replace(recorded, record=record)
-
-
-def null_records(
-    fit: Fit, split: Split, noise: NoiseModel, input_sd: Mapping[str, float]
-) -> NullRecords:
-    """The null of `fit` under the noise found, on everything that `split` has."""
-    c = fit.criterion
-    return NullRecords(
-        c.model,
-        split.whole,
-        split.apart,
-        fit.values,
-        null_noise(noise, c.outputs, input_sd),
-        own=c.own,
-        weights=c.weights,
-        substeps=c.substeps,
-    )
-
-
-def _with(record: Record, name: str, values: Array) -> Record:
-    """The record with other samples of a channel; those missing stay missing."""
-    missing = record.is_missing(name)
-    record = record.with_channel(name, values, record.units[name])
-    return record.mark_missing(name, missing) if missing.any() else record
 
 
 def _column(model: Model, source: str) -> int:
@@ -220,3 +221,8 @@ def _at_rest(experiment: Experiment, added: Mapping[str, str]) -> Experiment:
     for name, unit in added.items():
         record = record.with_channel(name, np.zeros(record.N), unit)
     return replace(experiment, record=record)
+
+
+def _share(split: Split) -> float:
+    """The share held out at the end of every record; the same number of samples comes of it."""
+    return float(np.mean(split.held[0])) if split.held and not split.apart else 0.0

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from casid.arrays import Array
 from casid.campaigns.problem_origin import ProblemOrigin
 from casid.data.problem import Problem
-from casid.diagnosis.calibration.null_records import NullNoise, NullRecords, null_noise
+from casid.diagnosis.calibration.null_records import NullRecords, Recipe, null_noise
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import CALIBRATING
 from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
@@ -64,33 +63,11 @@ class Null:
     base_fit: Fit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Recipe:
-    """All that null records are drawn from; free of CasADi objects, so that it can be pickled."""
-
-    whole: tuple[Any, ...]
-    apart: tuple[Any, ...]
-    hold_out: float
-    values: Mapping[str, float]
-    noise: NullNoise
-    own: tuple[str, ...]
-    weights: Array
-    substeps: int
-
-
 def recipe_of(null: Null) -> Recipe:
     """The recipe of null records, from a fit, its noise and the held-out part."""
-    at, split, c = null.at, null.split, null.base_fit.criterion
-    return Recipe(
-        whole=tuple(split.whole),
-        apart=tuple(split.apart),
-        hold_out=_share(split),
-        values=(at.unbiased or at.fit).values,
-        noise=null_noise(at.full, at.criterion.outputs, at.input_sd),
-        own=tuple(c.own),
-        weights=c.weights,
-        substeps=c.substeps,
-    )
+    at, noise = null.at, null_noise(null.at.full, null.at.criterion.outputs, null.at.input_sd)
+    values = (at.unbiased or at.fit).values
+    return Recipe.of(null.split, null.base_fit.criterion, values, noise)
 
 
 class NullRun:
@@ -108,17 +85,7 @@ class NullRun:
     def records(self) -> NullRecords:
         """The null records, drawn by the recipe."""
         if self._records is None:
-            r = self.recipe
-            self._records = NullRecords(
-                self.problem.model,
-                r.whole,
-                r.apart,
-                r.values,
-                r.noise,
-                own=r.own,
-                weights=r.weights,
-                substeps=r.substeps,
-            )
+            self._records = NullRecords(self.problem.model, self.recipe)
         return self._records
 
     def __call__(self, seed: SeedSequence) -> dict[str, Any]:
@@ -161,8 +128,3 @@ def can_travel(problem: Problem) -> bool:
     except CasidError:
         return False
     return True
-
-
-def _share(split: Split) -> float:
-    """The share held out at the end of every record; the same number of samples comes of it."""
-    return float(np.mean(split.held[0])) if split.held and not split.apart else 0.0

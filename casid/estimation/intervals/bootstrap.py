@@ -18,7 +18,7 @@ from scipy.stats import norm
 
 from casid.arrays import Array, BoolArray
 from casid.data.experiment import Experiment
-from casid.data.record import Record
+from casid.data.record import with_samples
 from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.errors_in_variables.removal import (
     Corrected,
@@ -128,11 +128,11 @@ class _Draw:
             d = self.criterion.data[e]
             y = self.clean[e].y + d.relative_sizes * self._noise(d.used, rng)
             for i, name in enumerate(self.criterion.outputs):
-                record = _with(record, name, y[:, i])
+                record = with_samples(record, name, y[:, i])
             here = dict(zip(inputs, noisy_inputs(self.criterion.data, e).tolist(), strict=True))
             for name, sd in self.input_sd.items():
                 noise = sd * here[name] * rng.standard_normal(record.N)
-                record = _with(record, name, record[name] + noise)
+                record = with_samples(record, name, record[name] + noise)
             out.append(replace(experiment, record=record))
         return out
 
@@ -152,10 +152,3 @@ class _Draw:
             column = lfilter([np.sqrt(m.variance)], a, white[:, i])[before:]
             out[used[:, i], i] = column[: int(used[:, i].sum())]
         return np.asarray(out / self.criterion.weights)
-
-
-def _with(record: Record, name: str, values: Array) -> Record:
-    """A record with other values of a channel, which misses the same samples."""
-    missing = record.missing.get(name)
-    new = record.with_channel(name, values, record.units[name])
-    return new if missing is None else new.mark_missing(name, missing)

@@ -18,7 +18,7 @@ from itertools import combinations, islice
 import numpy as np
 
 from casid.algebra.matroid import Basis, bases, components, dependent
-from casid.algebra.prime_field import echelon, null_space, rank
+from casid.algebra.prime_field import echelon, null_space
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, nearest
 
@@ -128,19 +128,6 @@ def fixing_sets(
     )
 
 
-def identifiable_subsets(
-    information: Array, names: Sequence[str], p: int
-) -> Iterator[tuple[str, ...]]:
-    """All maximal subsets that are identifiable where all other parameters are known, lazily.
-
-    They are the complements of the minimal fixing sets, in the order of `names` each; there may be
-    very many: take what is needed with itertools.islice.
-    """
-    for fixed in _fixing_sets(_components(information, names, p), names):
-        known = set(fixed)
-        yield tuple(n for n in names if n not in known)
-
-
 def joined(full: Sequence[Array], n_states: Sequence[int], p: int) -> tuple[Array, int]:
     """The rows of several experiments as one matrix over [all initial states | parameters].
 
@@ -163,29 +150,6 @@ def joined(full: Sequence[Array], n_states: Sequence[int], p: int) -> tuple[Arra
     return np.vstack(rows) % p, total
 
 
-def can_identify(
-    full: Array, names: Sequence[str], subset: Sequence[str], p: int, *, n_states: int = 0
-) -> bool:
-    """True if a subset of parameters is identifiable, all others known: a rank, columns excluded.
-
-    The criterion is rank O[:, x U S] = n + len(S), with the columns of the known parameters left
-    out (thesis, section 8.3); it includes the initial states. Give the information matrix with
-    `n_states` = 0 for the parameters alone.
-
-    Parameters
-    ----------
-    full : (r, n_states + n) rows modulo p over [initial states | parameters].
-    names : n names of parameters.
-
-    Raises
-    ------
-    IdentifiabilityError
-        If a member of the subset is no parameter.
-    """
-    chosen = [*range(n_states), *(n_states + j for j in _positions(subset, names))]
-    return rank(full[:, chosen], p) == len(chosen)
-
-
 def count_not_identifiable(
     full: Array,
     n_states: int,
@@ -198,8 +162,9 @@ def count_not_identifiable(
 ) -> Exclusion:
     """Every subset of a size, and which are not identifiable although all others are known.
 
-    Same criterion as `can_identify`; the initial states are eliminated once, then subsets are
-    extended member by member, one pivot each.
+    The criterion is rank O[:, x U S] = n + len(S), with the columns of the known parameters left
+    out (thesis, section 8.3). The initial states are eliminated once, then subsets are extended
+    member by member, one pivot each.
 
     Parameters
     ----------

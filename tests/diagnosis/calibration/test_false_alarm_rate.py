@@ -22,7 +22,7 @@ import casid
 from casid.data.arguments import experiments_of
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.calibration.false_alarm_rate import calibrate, require_runs
-from casid.diagnosis.calibration.null_records import null_records
+from casid.diagnosis.calibration.null_records import NullRecords, Recipe, null_noise
 from casid.diagnosis.calibration.null_runs import Null
 from casid.diagnosis.diagnose import diagnose
 from casid.diagnosis.evidence.prewhitening import Weighing
@@ -253,7 +253,9 @@ def test_null_records_have_the_sea_that_was_found_and_no_white_force_in_its_plac
     noise = with_disturbance_spectra(estimate_noise(fit.criterion, fit.x), fit.criterion, fit.x)
     assert list(noise.spectra) == ["force"]
     split = split_records(fit.criterion.experiments, 0.0)
-    drawn = null_records(fit, split, noise, {})
+    drawn = NullRecords(
+        m, Recipe.of(split, fit.criterion, fit.values, null_noise(noise, fit.criterion.outputs, {}))
+    )
     clean = fit.criterion.simulated(fit.x, 0).y
     squares = []
     for _ in range(60):
@@ -272,7 +274,8 @@ def test_null_records_keep_gaps_lengths_and_what_is_held_out():
     record = record.mark_missing("gyro", gap)
     aside = casid.Experiment(pendulum.simulate(duration=5.0, seed=2), {}, "aside")
     split, at, fit = pieces(pendulum.problem, record, [aside])
-    drawn = null_records(fit, split, at.full, at.input_sd)
+    noise = null_noise(at.full, fit.criterion.outputs, at.input_sd)
+    drawn = NullRecords(fit.criterion.model, Recipe.of(split, fit.criterion, fit.values, noise))
     whole, apart = drawn.draw(np.random.default_rng(1))
     assert [e.record.N for e in whole + apart] == [800, 500]
     assert whole[0].record.is_missing("gyro").tolist() == gap.tolist()

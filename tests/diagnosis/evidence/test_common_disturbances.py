@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 import casid
 from casid.diagnosis.advice.recommendation import disturbance_advice
-from casid.diagnosis.calibration.null_records import null_records
+from casid.diagnosis.calibration.null_records import NullRecords, Recipe, null_noise
 from casid.diagnosis.evidence.disturbances import Disturbance, Ratio, disturbances_of, shown_source
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.estimation.holdout import split_records
@@ -97,7 +97,9 @@ def test_a_ratio_without_a_unit_is_told_without_one() -> None:
 def test_null_records_have_it_in_both_places(found: Weighted) -> None:
     """Of many draws the mean square about the simulation, and the coherence, are those found."""
     fit = found.fit
-    drawn = null_records(fit, split_records(fit.criterion.experiments, 0.0), found.full, {})
+    split = split_records(fit.criterion.experiments, 0.0)
+    noise = null_noise(found.full, fit.criterion.outputs, {})
+    drawn = NullRecords(found.model, Recipe.of(split, fit.criterion, fit.values, noise))
     clean, rng, moments = fit.criterion.simulated(fit.x, 0).y, np.random.default_rng(5), []
     for _ in range(30):
         (e,), _ = drawn.draw(rng)
