@@ -46,7 +46,7 @@ def casadi_function(
     )
 
 
-def function_of(plain: PlainModel, parameters: Sequence[str], *, name: str | None = None) -> Any:
+def function_of(plain: PlainModel, parameters: Sequence[str]) -> Any:
     """The `casadi_function` of a plain model."""
     unknown = [n for n in parameters if n not in plain.model.parameters]
     if unknown:
@@ -78,8 +78,8 @@ def function_of(plain: PlainModel, parameters: Sequence[str], *, name: str | Non
         arguments.append(past)
         names[0].append("past")
         names[1].append("past_next")
-    name = name or identifier(plain.name)
-    return ca.Function(name, arguments, [ca.densify(each) for each in results], *names)
+    made = [ca.densify(each) for each in results]
+    return ca.Function(identifier(plain.name), arguments, made, *names)
 
 
 def _with_delays(plain: PlainModel, s: Symbols, results: Sequence[Any], past: Any) -> list[Any]:
@@ -97,11 +97,9 @@ def _with_delays(plain: PlainModel, s: Symbols, results: Sequence[Any], past: An
     return [dx, y, x_next, ca.vertcat(*felt, *given, 1.0)]
 
 
-def write_casadi(
-    fitted: FittedModel, path: Path, parameters: Sequence[str] = (), *, without_delays: bool = False
-) -> Path:
+def write_casadi(fitted: FittedModel, path: Path, *, without_delays: bool = False) -> Path:
     """Write the function to a file; ``casadi.Function.load`` reads it."""
-    function = casadi_function(fitted, parameters, without_delays=without_delays)
+    function = casadi_function(fitted, without_delays=without_delays)
     path = checked_path(path, "casadi")
     function.save(str(path))
     return path

@@ -75,13 +75,8 @@ class WrittenEquations:
         return formula_text(expression, notation, names=names, parts=others)
 
 
-def written_equations(model: Model, part: str = "common") -> WrittenEquations:
-    """The equations of a model without stages.
-
-    Parameters
-    ----------
-    part : what shared parts are called, with a number.
-    """
+def written_equations(model: Model) -> WrittenEquations:
+    """The equations of a model without stages; shared parts are called `common_1` and so on."""
     stated, eliminations = _with_unknown_inputs(model)
     rates, balances = stated._rates, list(stated.balances.values())
     solutions = [e.solution for e in eliminations if e.solution is not None]
@@ -94,7 +89,7 @@ def written_equations(model: Model, part: str = "common") -> WrittenEquations:
         ]
     )
     rest = iter(united)
-    names = [stated.free_name(f"{part}_{i}") for i in range(1, len(found) + 1)]
+    names = [stated.free_name(f"common_{i}") for i in range(1, len(found) + 1)]
     return WrittenEquations(
         model=stated,
         parts={n: p.expression for n, p in zip(names, found, strict=True)},

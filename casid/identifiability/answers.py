@@ -21,9 +21,7 @@ from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
 
 
-def answer_of(
-    label: str, result: Observability, original: Sequence[System], note: str = ""
-) -> Answer:
+def answer_of(label: str, result: Observability, original: Sequence[System]) -> Answer:
     """Verdicts by name; states that only the assumed inputs have are not listed."""
     undecided = result.is_partial
 
@@ -50,7 +48,6 @@ def answer_of(
         deficiency=None if undecided else result.deficiency,
         error_bound=result.error_bound,
         is_partial=undecided,
-        note=note,
     )
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
@@ -17,7 +17,6 @@ from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
-from casid.estimation.holdout import Split
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.variances import estimate_noise
@@ -42,10 +41,11 @@ from casid.identification.grey_box import (
     minimize_extended_prediction_error,
     minimize_prediction_error,
 )
+from casid.identification.task import Task
 from casid.identification.unstable import fit_in_segments, unstable_in_windows
 from casid.linear.noisy_model import White
 from casid.model.model import Model
-from casid.time_limit import require_time, seconds_left, wall_clock
+from casid.time_limit import require_time, seconds_left
 
 SIZES = np.logspace(-1.5, 1.5, 7)
 """Of a disturbance, times the size that its share of the residual suggests."""
@@ -74,75 +74,64 @@ class Disturbed:
     prediction: Prediction
 
 
-@dataclass(frozen=True, slots=True)
-class DisturbanceSearch:
-    """A search of the least prediction error of a problem with disturbances, from `start`.
+def minimum_with(
+    task: Task, disturbances: Sequence[Disturbance], *, is_near: bool = False
+) -> Disturbed:
+    """The minimum found from least squares, and the best sizes and frequencies of a grid.
 
-    Attributes
+    Parameters
     ----------
-    is_near : no fit without disturbances is needed to begin from.
+    is_near : `task.start` is near the minimum: no fit without disturbances comes first.
     """
-
-    problem: Problem
-    split: Split
-    settings: FitSettings
-    start: Mapping[str, float] | None
-    progress: Callable[[str], None]
-    is_near: bool = False
-    began: float = field(default_factory=wall_clock)
-
-    def minimum(self, disturbances: Sequence[Disturbance]) -> Disturbed:
-        """The minimum found from least squares, and the best sizes and frequencies of a grid."""
-        program = _Program(self.problem.model, self.split.fitted, disturbances, self.settings)
-        problem, begin = self.without(disturbances), dict(self.start or {})
-        fit = None
-        if not self.is_near:
-            self.progress("fit the model without disturbances")
-            fit, values = _simulated(problem, self.split.fitted, self.settings, self.start)
-            begin = {**values, **begin}
-        errors = (
-            _spreads(problem.model, self.split.fitted) if fit is None else 1 / one_over_errors(fit)
-        )
-        noise = [White(n, float(e)) for n, e in zip(program.model.outputs, errors, strict=True)]
-        noise += program.sources
-        first = program.criterion(noise, 1 if fit is None else fit.criterion.substeps)
-        begin = _off_bounds(first, fit.values if fit else {}) | begin
-        for d in disturbances:
-            self.progress(f"search the spectrum of the disturbance in {d.place}")
-            begin |= _best_start(first, begin, d, *_grid(problem, fit, d, first.data))
-        require_time(f"the prediction error of {problem.name}")
-        self.progress("minimise the prediction error")
-        found = program.minimum_from(noise, begin, [d.size for d in disturbances])
-        return Disturbed(disturbances, program, found)
-
-    def without(self, disturbances: Sequence[Disturbance]) -> Problem:
-        """The problem of the model without them."""
-        return replace(self.problem, model=undisturbed(self.problem.model, disturbances))
+    experiments = task.split.fitted
+    program = _Program(task.problem.model, experiments, disturbances, task.settings)
+    alone = without(task, disturbances)
+    problem, begin, fit = alone.problem, dict(task.start), None
+    if not is_near:
+        task.say("fit the model without disturbances")
+        fit, values = _simulated(alone)
+        begin = {**values, **begin}
+    errors = _spreads(problem.model, experiments) if fit is None else 1 / one_over_errors(fit)
+    noise = [White(n, float(e)) for n, e in zip(program.model.outputs, errors, strict=True)]
+    noise += program.sources
+    first = program.criterion(noise, 1 if fit is None else fit.criterion.substeps)
+    begin = _off_bounds(first, fit.values if fit else {}) | begin
+    for d in disturbances:
+        task.say(f"search the spectrum of the disturbance in {d.place}")
+        begin |= _best_start(first, begin, d, *_grid(problem, fit, d, first.data))
+    require_time(f"the prediction error of {problem.name}")
+    task.say("minimise the prediction error")
+    found = program.minimum_from(noise, begin, [d.size for d in disturbances])
+    return Disturbed(disturbances, program, found)
 
 
-def _simulated(
-    problem: Problem,
-    experiments: Sequence[Experiment],
-    settings: FitSettings,
-    start: Mapping[str, float] | None,
-) -> tuple[Fit | None, dict[str, float]]:
+def without(task: Task, disturbances: Sequence[Disturbance]) -> Task:
+    """The same for the model without disturbances."""
+    model = undisturbed(task.problem.model, disturbances)
+    return replace(task, problem=replace(task.problem, model=model))
+
+
+def _simulated(task: Task) -> tuple[Fit | None, dict[str, float]]:
     """Least squares of the simulation error, and values to begin from where there is none.
 
     No fit where a simulation says nothing or diverges.
     """
+    once = replace(task, settings=replace(task.settings, starts=1), say=lambda _: None)
     try:
-        once = replace(settings, starts=1)
-        unstable = unstable_in_windows(problem, experiments, once, start, lambda _: None)
+        unstable = unstable_in_windows(once)
         if unstable is not None:
             if unstable.is_disturbed:
                 return None, unstable.values
-            in_segments = fit_in_segments(
-                problem, experiments, once, start, unstable, lambda _: None
-            )
+            in_segments = fit_in_segments(once, unstable)
             if in_segments is not None:
                 return in_segments, {}
         fit = fit_model(
-            problem.model, experiments, settings, start=start, check_rank=False, throw=False
+            task.problem.model,
+            task.split.fitted,
+            task.settings,
+            start=task.start,
+            check_rank=False,
+            throw=False,
         )
     except OutOfTimeError:
         raise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from shlex import quote
@@ -28,16 +28,14 @@ from casid.estimation.intervals.choice import (
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.nlp.solver import as_solver
 from casid.estimation.noise.noise_response import places_of_forces
-from casid.estimation.prediction_error.disturbances import (
-    Disturbance,
-)
+from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.simulation.fit import FitSettings
-from casid.identification.disturbance_search import DisturbanceSearch, Disturbed
-from casid.identification.grey_box import (
-    Prediction,
-)
+from casid.identification.disturbance_search import Disturbed, minimum_with, without
+from casid.identification.grey_box import Prediction
+from casid.identification.problem_notes import problem_notes
+from casid.identification.task import Task
 from casid.model.model import Model
-from casid.time_limit import Undone, no_time_limit, seconds_left
+from casid.time_limit import Undone, no_time_limit, seconds_left, wall_clock
 
 PROFILED = {"ipopt.tol": 1e-4, "ipopt.acceptable_tol": 1e-3, "ipopt.acceptable_iter": 1}
 """Of a refit with one unknown held: its likelihood is known to a hundredth where it ends."""
@@ -47,17 +45,7 @@ _WHY_DISTURBED = (
 )
 
 
-def identify_disturbed(
-    problem: Problem,
-    split: Split,
-    disturbances: Sequence[Disturbance],
-    settings: FitSettings,
-    *,
-    start: Mapping[str, float] | None = None,
-    intervals: str = "auto",
-    budget: float | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Estimate:
+def identify_disturbed(task: Task, disturbances: Sequence[Disturbance]) -> Estimate:
     """Estimate a model whose disturbances have a named place and a parametric spectrum.
 
     By the prediction errors of a Kalman filter, extended where the model is nonlinear or outputs
@@ -72,20 +60,10 @@ def identify_disturbed(
     SolveError
         If no optimum was found; for want of time, the estimate says so in `not_done`.
     """
-    search = DisturbanceSearch(problem, split, settings, start, progress)
-    return _completed(search, search.minimum(disturbances), intervals, budget, Undone())
+    return _completed(task, minimum_with(task, disturbances))
 
 
-def identify_unstable(
-    problem: Problem,
-    split: Split,
-    settings: FitSettings,
-    start: Mapping[str, float],
-    *,
-    intervals: str = "auto",
-    budget: float | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Estimate | None:
+def identify_unstable(task: Task, values: Mapping[str, float]) -> Estimate | None:
     """Estimate an unstable model that random disturbances push; None where that finds no optimum.
 
     The disturbances are white, one in every place; where innovations are coloured, they are of
@@ -94,20 +72,17 @@ def identify_unstable(
 
     Parameters
     ----------
-    start : by variable name, near the estimate.
+    values : of parameters near the estimate, by variable name.
     """
-    undone = Undone()
-    search = DisturbanceSearch(problem, split, settings, start, progress, is_near=True)
+    task = replace(task, start={**task.start, **values}, began=wall_clock(), undone=Undone())
+    places = places_of_forces(task.problem.model)
     try:
-        found = search.minimum([Disturbance(p) for p in places_of_forces(problem.model)])
+        found = minimum_with(task, [Disturbance(p) for p in places], is_near=True)
         if coloured_innovations(found.prediction):
-            found = (
-                undone.attempt(
-                    "the search of coloured disturbances", partial(_coloured, search, found)
-                )
-                or found
-            )
-        estimate = _completed(search, found, intervals, budget, undone)
+            likelier = partial(_coloured, task, found)
+            what = "the search of coloured disturbances"
+            found = task.undone.attempt(what, likelier) or found
+        estimate = _completed(task, found)
     except OutOfTimeError:
         raise
     except CasidError:
@@ -117,12 +92,12 @@ def identify_unstable(
     return replace(estimate, trust=replace(estimate.trust, evidence=evidence))
 
 
-def _coloured(search: DisturbanceSearch, white: Disturbed) -> Disturbed:
+def _coloured(task: Task, white: Disturbed) -> Disturbed:
     """The minimum with first-order disturbances where white ones act, if it is likelier."""
     active = white.prediction.solution.active
     acting = [replace(d, spectrum="first") for d in white.disturbances if d.size not in active]
     try:
-        found = search.minimum(acting) if acting else white
+        found = minimum_with(task, acting, is_near=True) if acting else white
     except OutOfTimeError:
         raise
     except CasidError:
@@ -131,36 +106,32 @@ def _coloured(search: DisturbanceSearch, white: Disturbed) -> Disturbed:
     return found if is_likelier and found.prediction.solution.is_converged else white
 
 
-def _completed(
-    search: DisturbanceSearch,
-    found: Disturbed,
-    intervals: str,
-    budget: float | None,
-    undone: Undone,
-) -> Estimate:
+def _completed(task: Task, found: Disturbed) -> Estimate:
     """The estimate with its intervals, what was held out and warnings."""
-    problem, prediction = search.without(found.disturbances), found.prediction
-    estimate = prediction.estimate
+    problem, prediction = without(task, found.disturbances).problem, found.prediction
+    estimate, undone = prediction.estimate, task.undone
     if prediction.solution.is_converged:
-        estimation = _estimation(problem, prediction, search.settings)
-        patience = patience_since(search.began, budget)
-        chosen = chosen_intervals(estimation, intervals, undone, search.progress, patience)
+        estimation = _estimation(problem, prediction, task.settings)
+        patience = patience_since(task.began, task.budget)
+        chosen = chosen_intervals(estimation, task.intervals, undone, task.say, patience)
         estimate = with_intervals(estimate, chosen)
         with no_time_limit():  # one pass over what is held out
-            estimate = replace(estimate, held_out=_held_out(estimate, search.split))
+            estimate = replace(estimate, held_out=_held_out(estimate, task.split))
     elif seconds_left() > 0.0:
         raise not_converged(problem.name, prediction.solution)
     else:
         undone.add("the end of the search")
     with no_time_limit():
-        doubts = _doubts(prediction, found.program.model, found.disturbances)
+        notes = problem_notes(problem, task.split.fitted)
+        doubts = fed_back(found.program.model, found.disturbances)
+        doubts += coloured_innovations(prediction)
     estimate = replace(
         estimate,
         problem=problem.name,
         method=f"{estimate.method}; disturbances in "
         + ", ".join(f"{d.place} ({d.spectrum})" for d in found.disturbances),
         trust=replace(estimate.trust, not_done=tuple(undone.not_done)),
-        warnings=(*estimate.warnings, *doubts),
+        warnings=(*notes, *estimate.warnings, *doubts),
         model=_finished(estimate.model, problem, tuple(found.program.spread)),
     )
     return estimate.in_units(found.program.model.declared_units)
@@ -174,11 +145,6 @@ def _finished(
         return model
     noise = replace(model.noise, shaped=states)
     return replace(model, name=problem.name, noise=noise, channels=channels_of(problem))
-
-
-def _doubts(found: Prediction, model: Model, disturbances: Sequence[Disturbance]) -> list[str]:
-    """Warnings of what the error bars do not contain."""
-    return fed_back(model, disturbances) + coloured_innovations(found)
 
 
 def fed_back(model: Model, disturbances: Sequence[Disturbance]) -> list[str]:

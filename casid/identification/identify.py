@@ -4,65 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
 
 import numpy as np
 
 from casid.argument_types import names_wrong_types
-from casid.arrays import Array
 from casid.data.arguments import Recorded, in_si, problem_of
-from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveError
-from casid.estimation.covariance import sandwich
-from casid.estimation.errors_in_variables.error_bars import covariance_under_colour, error_bars
-from casid.estimation.errors_in_variables.removal import (
-    Corrected,
-    with_spectral_weights,
-    without_input_noise,
-)
-from casid.estimation.estimate import Estimate, Estimated, Trust, Uncertainty
-from casid.estimation.holdout import (
-    Split,
-    record_views,
-    split_records,
-    validation,
-    window_length,
-)
-from casid.estimation.intervals.choice import (
-    Estimation,
-    chosen_intervals,
-    patience_since,
-    require_intervals,
-    with_intervals,
-)
+from casid.errors import DataError
+from casid.estimation.estimate import Estimate, Estimated, Uncertainty
+from casid.estimation.holdout import split_records
+from casid.estimation.intervals.choice import require_intervals
 from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.simulation.budget import fit_budget
-from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
-from casid.estimation.simulation.input_feedback import feedback_notes
+from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.input_gaps import with_gaps_treated
-from casid.estimation.simulation.minimization import Fit, require_minimum, whitened
-from casid.estimation.simulation.simulation_estimate import (
-    channel_notes,
-    estimate_of,
-    method_of,
-)
 from casid.identifiability.requirement import require_identifiable
-from casid.identification.approach import approach
 from casid.identification.disturbed import identify_disturbed, identify_unstable
-from casid.identification.problem_notes import problem_notes
-from casid.identification.reference_instruments import instrumented
-from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
-from casid.identification.sized_noise import fitted_in_sizes, sized_noise_text
-from casid.identification.unstable import InWindows, fit_in_segments, unstable_in_windows
+from casid.identification.simulated import identify_simulated
+from casid.identification.task import Task
+from casid.identification.unstable import unstable_in_windows
 from casid.model.model import Model
-from casid.time_limit import (
-    Undone,
-    no_time_limit,
-    out_of_time_text,
-    until,
-    wall_clock,
-)
+from casid.time_limit import out_of_time_text, until, wall_clock
 
 UNFINISHED = "the fit was not finished: no standard errors"
 """What the errors of the best point of a fit without end assume."""
@@ -143,128 +105,54 @@ def identify(
     >>> print(f"{estimate['tau']:.0f} s")
     400 s
     """
-    began, say = wall_clock(), progress or (lambda _: None)
+    began = wall_clock()
     require_intervals(intervals)
+    declared = problem_of(problem)
+    problem, chosen = in_si(declared, experiments)
+    begin = declared.model.in_si(start or {})
     if not isinstance(hold_out, float | int):
-        _, hold_out = in_si(problem, hold_out)
-        hold_out = with_gaps_treated(problem_of(problem).model, hold_out)
-    if start is not None:
-        start = (problem if isinstance(problem, Model) else problem.model).in_si(start)
-    problem, chosen = in_si(problem, experiments)
-    chosen = with_gaps_treated(problem.model, chosen)
-    split = split_records(chosen, hold_out)
+        _, hold_out = in_si(declared, hold_out)
+        hold_out = with_gaps_treated(problem.model, hold_out)
+    split = split_records(with_gaps_treated(problem.model, chosen), hold_out)
     settings = settings or FitSettings(starts=problem.starts)
-    undone, chosen_disturbances = Undone(), _disturbances(disturbances, settings, intervals)
+    acting = _disturbances(disturbances, settings, intervals)
+    say = progress or (lambda _: None)
+    task = Task(problem, split, settings, begin, intervals, budget, say, began)
     with until(began + fit_budget(problem.model, split.fitted, budget)):
-        structural = _structure(problem, split.fitted, settings, chosen_disturbances, progress)
-        unstable, disturbed = _by_prediction_error(
-            problem, split, chosen_disturbances, settings, start, intervals, budget, say
-        )
-        if disturbed is not None:
-            return _completed(disturbed, problem.model, structural)
-        estimate, found = _estimate_of_fit(
-            problem, split, settings, start, chosen, unstable, (say, undone)
-        )
-        if estimate.is_converged:
-            estimation = _estimation(problem, found, estimate, settings)
-            patience = patience_since(began, budget)
-            kind = "quick" if found.reference else intervals
-            found_intervals = chosen_intervals(estimation, kind, undone, say, patience)
-            estimate = with_intervals(estimate, found_intervals)
-    trust = replace(estimate.trust, not_done=tuple(undone.not_done))
-    return _completed(replace(estimate, trust=trust), problem.model, structural)
+        structural = _structure(task, acting)
+        estimate = _estimate(task, acting)
+    seen = replace(estimate.identifiability, structural=structural)
+    estimate = replace(estimate, identifiability=seen).in_units(problem.model.declared_units)
+    return _cut_off(estimate) if estimate.not_done else estimate
 
 
-def _estimate_of_fit(
-    problem: Problem,
-    split: Split,
-    settings: FitSettings,
-    start: Mapping[str, float] | None,
-    chosen: Sequence[Experiment],
-    unstable: InWindows | None,
-    to: tuple[Callable[[str], None], Undone],
-) -> tuple[Estimate, Corrected]:
-    """The estimate with its records and with what it rests on, and the fit that it is of.
+def _estimate(task: Task, disturbances: Sequence[Disturbance]) -> Estimate:
+    """The estimate by the criterion that suits the model and its disturbances.
 
-    Of the records `chosen`, fitted and held out, it has the notes. Progress and what was not done
-    go to `to`.
+    By prediction error with the disturbances that are requested, or with those that show where an
+    unstable model is pushed; by simulation error in all other cases.
     """
-    say, undone = to
-    fit, suspect = _fit(problem, split.fitted, settings, start, unstable, to)
-    if fit.solution.is_converged:
-        alike = replace(settings, segments=fit.criterion.segments)
-        by_errors = partial(weighted_by_errors, fit, alike)
-        fit = undone.attempt("the weighing of outputs by their errors", by_errors) or fit
-    weigh = partial(_sized, problem, fit, split, settings)
-    split, fit, grows = undone.attempt("the sizes of noise that grows", weigh) or (split, fit, ())
-    found = _corrected(problem, fit, settings, undone)
-    with no_time_limit():  # a few passes over the record, without which there is no result
-        feedback = feedback_notes(found.fit, found.noisy)
-    is_biased = bool(feedback) or (bool(found.why_not) and bool(found.noisy))
-    if problem.external and is_biased and found.fit.solution.is_converged:
-        say("instruments")
-        replaced = partial(instrumented, problem, found, split.fitted)
-        found = undone.attempt("instruments", replaced) or found
-        feedback = [] if found.reference else feedback
-    with no_time_limit():
-        notes = [*problem_notes(problem, split.fitted), *channel_notes(problem.model, chosen)]
-        notes += [sized_noise_text(grows)] if grows else []
-        estimate = _estimate(problem, found, split, [*notes, *feedback])
-        trust = Trust(
-            approach(problem, found, settings.segments, feedback),
-            suspects=() if suspect is None else (str(suspect),),
-        )
-        return replace(estimate, records=record_views(found.fit, None, split), trust=trust), found
+    if disturbances:
+        return identify_disturbed(task, disturbances)
+    task.say(f"fit {', '.join(e.name for e in task.split.fitted)}")
+    unstable = unstable_in_windows(task) if task.is_free else None
+    if unstable is not None and unstable.is_disturbed and task.intervals != "bootstrap":
+        found = identify_unstable(task, unstable.values)
+        if found is not None:
+            return found
+    return identify_simulated(task, unstable)
 
 
-def _sized(
-    problem: Problem, fit: Fit, split: Split, settings: FitSettings
-) -> tuple[Split, Fit, tuple[str, ...]]:
-    """The records, the fit by sizes of noise that grows with the reading, and where it does."""
-    if not fit.solution.is_converged or settings.segments > 1 or fit.criterion.segments > 1:
-        return split, fit, ()
-    once = replace(settings, starts=1, substeps=fit.criterion.substeps)
-
-    def again(records: Split, near: Fit) -> Fit:
-        """The fit by `weighted_by_errors`, with the errors that the sizes leave."""
-        found = fit_model(
-            problem.model,
-            records.fitted,
-            once,
-            start=near.values,
-            weights=near.criterion.weights,
-            check_rank=False,
-        )
-        found = weighted_by_errors(found, once)
-        tried, agreeing = fit.starts_tried, fit.starts_agreeing
-        return replace(found, starts_tried=tried, starts_agreeing=agreeing, begun=fit.begun)
-
-    return fitted_in_sizes(fit, split, problem.noise, again)
-
-
-def _structure(
-    problem: Problem,
-    experiments: Sequence[Experiment],
-    settings: FitSettings,
-    disturbances: Sequence[Disturbance],
-    progress: Callable[[str], None] | None,
-) -> str:
+def _structure(task: Task, disturbances: Sequence[Disturbance]) -> str:
     """What the equations determine, in words; a refusal where not all that is sought."""
+    problem, settings = task.problem, task.settings
     if settings.constraints:
         return "not checked, as there are constraints"
     if any(d.place in problem.model.inputs for d in disturbances):
         return "not checked, as there are inputs that nobody measures"
-    own = settings.own
     return require_identifiable(
-        problem.model, experiments, own=own, problem=problem, progress=progress
+        problem.model, task.split.fitted, own=settings.own, problem=problem, progress=task.say
     )
-
-
-def _completed(estimate: Estimate, model: Model, structural: str) -> Estimate:
-    """The estimate in the units that the model declares, with what was found before the fit."""
-    seen = replace(estimate.identifiability, structural=structural)
-    estimate = replace(estimate, identifiability=seen).in_units(model.declared_units)
-    return _cut_off(estimate) if estimate.not_done else estimate
 
 
 def _disturbances(
@@ -287,55 +175,6 @@ def _disturbances(
     return [Disturbance.of(d) if isinstance(d, str) else d for d in given]
 
 
-def _estimation(
-    problem: Problem, found: Corrected, estimate: Estimate, settings: FitSettings
-) -> Estimation:
-    """The estimate as the search for its intervals takes it."""
-    rows = (*estimate.parameters, *estimate.initial_states)
-    held = found.fit.solution.active
-    undetermined = [p.name for p in rows if p.std_error is None and p.name not in held]
-
-    @cache
-    def covariance(free: tuple[bool, ...]) -> Array:
-        """Covariance with these variables free: under the noise found, or by the sandwich."""
-        mask = np.array(free)
-        if found.weights is not None:
-            return found.weights.covariance(mask)
-        if found.covariance is not None:
-            return found.covariance
-        coloured = covariance_under_colour(found.fit, mask)
-        if coloured is not None:
-            return coloured[0]
-        scores, tied = found.fit.criterion.scores(found.fit.x), found.fit.solution
-        return sandwich(tied.hessian, scores, mask, tied.constraint_jacobian)[0]
-
-    fit = found.fit if found.weights is None else found.weights.fit
-    if found.is_removed and found.noise is not None:
-        fit = whitened(fit, found.noise.whiten)
-    return Estimation(
-        fit,
-        lambda free: covariance(tuple(free.tolist())),
-        replace(settings, segments=found.fit.criterion.segments),
-        problem.noise,
-        undetermined,
-        found,
-    )
-
-
-def _corrected(problem: Problem, fit: Fit, settings: FitSettings, undone: Undone) -> Corrected:
-    """The fit without the bias of noise on its inputs, where it is finished and there is time."""
-    if not fit.solution.is_converged and fit.not_done:
-        return Corrected(fit)
-    what = "the removal of the bias of noise on inputs"
-    found = undone.attempt(
-        what, lambda: without_input_noise(fit, problem.noise, seed=settings.seed)
-    )
-    if found is None:
-        return Corrected(fit, why_not="the budget of time ended")
-    what = "the weighing by the spectrum of the residual"
-    return undone.attempt(what, lambda: with_spectral_weights(found)) or found
-
-
 def _cut_off(estimate: Estimate) -> Estimate:
     """The estimate with what no time was left for; without errors where the fit is no minimum."""
     warnings = (out_of_time_text(estimate.not_done), *estimate.warnings)
@@ -354,116 +193,3 @@ def _cut_off(estimate: Estimate) -> Estimate:
         initial_states=tuple(without_error(p) for p in estimate.initial_states),
         uncertainty=Uncertainty((), np.zeros((0, 0)), UNFINISHED),
     )
-
-
-def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[str]) -> Estimate:
-    """The estimate, with what became of the bias that noise on measured inputs gives."""
-    fit, method = found.fit, method_of(found.fit)
-    if fit.criterion.segments > 1 and not split.is_empty:
-        length = window_length(fit) * max(d.Ts for d in fit.criterion.data)
-        method = f"{method}; held out in windows of {length:.2g} s"
-    if found.reference:
-        method = f"instrumental variables from {found.reference}"
-    elif found.weights is not None:
-        method = f"{method}, weighted by the spectrum of the residual"
-    elif found.is_removed:
-        method = f"{method}, without the bias of input noise"
-    elif found.why_not and (found.noisy or found.bias is None):
-        notes = [*notes, f"noise on measured inputs: {found.text}"]
-    held_out, bars = validation(fit, split), error_bars(found)
-    return estimate_of(problem, fit, held_out, method=method, notes=notes, bars=bars)
-
-
-def _is_found_without_noise(problem: Problem, fit: Fit, settings: FitSettings) -> bool:
-    """Whether noise on the inputs hides the minimum, but not the estimate without it."""
-    if fit.solution.is_converged or fit.not_done:
-        return False
-    return without_input_noise(fit, problem.noise, seed=settings.seed).is_removed
-
-
-def _by_prediction_error(
-    problem: Problem,
-    split: Split,
-    disturbances: Sequence[Disturbance],
-    settings: FitSettings,
-    start: Mapping[str, float] | None,
-    intervals: str,
-    budget: float | None,
-    say: Callable[[str], None],
-) -> tuple[InWindows | None, Estimate | None]:
-    """A model that no simulation stays with, and an estimate that is not by simulation error.
-
-    That is by prediction error, with the disturbances that are requested, or with those that show
-    where an unstable model is pushed.
-    """
-    if disturbances:
-        return None, identify_disturbed(
-            problem,
-            split,
-            disturbances,
-            settings,
-            start=start,
-            intervals=intervals,
-            budget=budget,
-            progress=say,
-        )
-    say(f"fit {', '.join(e.name for e in split.fitted)}")
-    if not _is_free(settings):
-        return None, None
-    unstable = unstable_in_windows(problem, split.fitted, settings, start, say)
-    if unstable is None or not unstable.is_disturbed or intervals == "bootstrap":
-        return unstable, None
-    begin = dict(start or {}) | unstable.values
-    return unstable, identify_unstable(
-        problem, split, settings, begin, intervals=intervals, budget=budget, progress=say
-    )
-
-
-def _is_free(settings: FitSettings) -> bool:
-    """Whether the fit has neither constraints nor a requested number of segments."""
-    return not settings.constraints and settings.segments == 1
-
-
-def _fit(
-    problem: Problem,
-    experiments: Sequence[Experiment],
-    settings: FitSettings,
-    start: Mapping[str, float] | None,
-    unstable: InWindows | None,
-    to: tuple[Callable[[str], None], Undone],
-) -> tuple[Fit, WrongSign | None]:
-    """The fit, and where it is poor a channel that was probably recorded with the wrong sign.
-
-    Progress and what was not done go to `to`.
-    """
-    say, undone = to
-    checks_signs = _is_free(settings)
-    if unstable is not None:
-        in_segments = fit_in_segments(problem, experiments, settings, start, unstable, say)
-        if in_segments is not None:
-            return in_segments, None
-    try:
-        fit = fit_model(problem.model, experiments, settings, start=start, throw=False)
-        if not _is_found_without_noise(problem, fit, settings):
-            require_minimum(fit)
-    except OutOfTimeError as error:
-        if not isinstance(error.found, Fit):
-            raise
-        fit = error.found
-    except (IdentifiabilityError, SolveError) as error:
-        suspect = wrong_sign(problem, experiments, settings) if checks_signs else None
-        if suspect is None:
-            raise
-        raise type(error)(f"{suspect}. As recorded: {error}") from error
-    undone.add(*fit.not_done)
-
-    def suspected() -> WrongSign | None:
-        """A channel of the wrong sign, sought only where the fit is poor."""
-        if not is_poor(fit):
-            return None
-        say("the fit is poor: negate each channel in turn")
-        return wrong_sign(problem, experiments, settings, reported=fit)
-
-    if not checks_signs:
-        return fit, None
-    return fit, undone.attempt("the test of the signs of the channels", suspected)

@@ -8,18 +8,16 @@ with the disturbance in the model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from casid.data.experiment import Experiment
-from casid.data.problem import Problem
 from casid.estimation.covariance import LAGS_OUTSIDE, whiteness
-from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
+from casid.estimation.simulation.fit import weighted_by_errors
 from casid.estimation.simulation.instability import segments_for
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.short_windows import short_windows, tried, windowed_records
 from casid.identification.signs_from_simulation import is_poor
+from casid.identification.task import Task
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,30 +38,25 @@ class InWindows:
     whole: Fit | None
 
 
-def unstable_in_windows(
-    problem: Problem,
-    experiments: Sequence[Experiment],
-    settings: FitSettings,
-    start: Mapping[str, float] | None,
-    say: Callable[[str], None],
-) -> InWindows | None:
+def unstable_in_windows(task: Task) -> InWindows | None:
     """The model in short windows, where a simulation of the whole record says nothing.
 
     None where the model is stable, or a simulation of the whole record fits all the same (a motion
     that leaves an unstable equilibrium once).
     """
-    criterion = SimulationError(problem.model, experiments, own=settings.own, start=start)
+    model, experiments, settings = task.problem.model, task.split.fitted, task.settings
+    criterion = SimulationError(model, experiments, own=settings.own, start=task.start)
     segments = segments_for(criterion)
     if segments == 1:
         return None
-    say("the model is unstable: fit the whole record once")
+    task.say("the model is unstable: fit the whole record once")
     once = replace(settings, starts=1)
-    whole = tried(problem.model, experiments, once, start)
+    whole = tried(model, experiments, once, task.start)
     if whole is not None and not is_poor(whole):
         return None
-    windows = short_windows(criterion, settings, say, start)
+    windows = short_windows(criterion, settings, task.say, task.start)
     cut = windowed_records(experiments, windows.samples)
-    fit = tried(problem.model, cut, once, windows.values)
+    fit = tried(model, cut, once, windows.values)
     is_white = fit is not None and _is_white(weighted_by_errors(fit, once))
     return InWindows(windows.values, not is_white, segments, whole)
 
@@ -78,18 +71,12 @@ def _is_white(fit: Fit) -> bool:
     return True
 
 
-def fit_in_segments(
-    problem: Problem,
-    experiments: Sequence[Experiment],
-    settings: FitSettings,
-    start: Mapping[str, float] | None,
-    unstable: InWindows,
-    say: Callable[[str], None],
-) -> Fit | None:
+def fit_in_segments(task: Task, unstable: InWindows) -> Fit | None:
     """The fit by multiple shooting; None without one, or where that of whole records is better."""
-    say(f"fit it in {unstable.segments} segments")
-    divided = replace(settings, segments=unstable.segments)
-    parts, whole = tried(problem.model, experiments, divided, start), unstable.whole
+    task.say(f"fit it in {unstable.segments} segments")
+    divided = replace(task.settings, segments=unstable.segments)
+    parts = tried(task.problem.model, task.split.fitted, divided, task.start)
+    whole = unstable.whole
     if parts is None or (whole is not None and whole.solution.value <= parts.solution.value):
         return None
     return parts

@@ -381,10 +381,10 @@ class ClosedForm:
         return "\n".join(f"{name} = {e}" for name, e in self.expressions.items())
 
 
-def continuous_names(transfer: TransferMatrix, row: int = 0) -> dict[str, Any]:
-    """The coefficients of one row that are no structural zeros, name -> SX."""
+def continuous_names(transfer: TransferMatrix) -> dict[str, Any]:
+    """The coefficients of the first row that are no structural zeros, name -> SX."""
     named = {f"alpha{k}": transfer.denominator[k] for k in range(1, transfer.order + 1)}
-    for u, b in zip(transfer.inputs, transfer.numerators[row], strict=True):
+    for u, b in zip(transfer.inputs, transfer.numerators[0], strict=True):
         named |= {f"beta{k}[{u}]": b[k] for k in range(b.numel())}
     return {n: e for n, e in named.items() if e.nnz()}
 

@@ -185,10 +185,10 @@ class Part(NamedTuple):
     expression: Expr
 
 
-def shared_parts(expressions: Sequence[Expr], least: int = 3) -> tuple[list[Expr], list[Part]]:
+def shared_parts(expressions: Sequence[Expr]) -> tuple[list[Expr], list[Part]]:
     """The expressions with equal parts united, and the parts that are worth a name.
 
-    A part is worth a name where it occurs twice or more and has at least `least` operations. Parts
+    A part is worth a name where it occurs twice or more and has at least three operations. Parts
     come in an order in which each needs those before it alone.
     """
     if not expressions:
@@ -217,7 +217,7 @@ def shared_parts(expressions: Sequence[Expr], least: int = 3) -> tuple[list[Expr
         named = {part.key for part in found}
         inner = [e.dep(i).element_hash() for i in range(e.n_dep())]
         size[key] = 1 + sum(size.get(k, 0) for k in inner if k not in named)
-        if uses[key] > 1 and size[key] >= least:
+        if uses[key] > 1 and size[key] >= 3:
             found.append(Part(key, e))
     return united, found
 

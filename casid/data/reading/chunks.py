@@ -13,7 +13,6 @@ from casid.data.reading.cells import non_finite, numbers_of, times_of
 from casid.data.reading.clocks.even_clock import GAP, UNIFORM, time_faults
 from casid.data.reading.columns import Columns, Time, resolve
 from casid.data.reading.faults import Fault, Survey
-from casid.data.reading.file_format import FileFormat
 from casid.data.reading.opening import open_table
 from casid.errors import DataError
 from casid.model.units import to_si
@@ -26,7 +25,6 @@ def iter_chunks(
     *,
     time: Time = None,
     gaps: bool = False,
-    form: FileFormat | None = None,
 ) -> Iterator[dict[str, FloatArray]]:
     """Read a CSV or Parquet file `size` samples at a time, in SI units.
 
@@ -49,7 +47,7 @@ def iter_chunks(
     """
     if size < 2:
         raise DataError(f"chunks of {size} samples. Give a size of at least 2.")
-    table = open_table(path, form)
+    table = open_table(path)
     specs, clock = resolve(table, columns, time)
     day = [table.date_column] if clock and table.date_column else []
     wanted = [*(s.column for s in specs.values()), *([clock.column] if clock else []), *day]

@@ -78,10 +78,10 @@ def is_date(cell: str) -> bool:
     return bool(_DATE.fullmatch(cell)) and not is_number(cell)
 
 
-def layout_of(head: Sequence[str], tail: Sequence[str], separator: str | None = None) -> Layout:
+def layout_of(head: Sequence[str], tail: Sequence[str]) -> Layout:
     """Read the layout from the first lines, and the footers from the last ones."""
     given = next((m for m in map(_SEP_LINE.fullmatch, head[:3]) if m), None)
-    separator = separator or (given[1] if given else None) or _separator(head)
+    separator = given[1] if given else _separator(head)
     layout = layout_of_rows(
         [
             None

@@ -185,13 +185,7 @@ def strongest_variants(table: ScoreTable) -> list[int]:
     return list(chosen.values())
 
 
-def isolability(
-    table: ScoreTable,
-    *,
-    n_samples: int | None = None,
-    margin: float = PLANNING.margin,
-    power: float = PLANNING.power,
-) -> Isolability:
+def isolability(table: ScoreTable, *, n_samples: int | None = None) -> Isolability:
     """Compare every pair of causes of a score table.
 
     Parameters
@@ -199,7 +193,6 @@ def isolability(
     table : of `score_test`; of the variants of a kind in one place the strongest counts.
     n_samples : samples that the fit counts; where given, a cause that is charged for more
         parameters than its rival (by BIC) has to win by that much more.
-    margin, power : as in (3).
 
     Returns
     -------
@@ -216,7 +209,7 @@ def isolability(
         for j in range(i):
             c = likeness(first, effects[j], float(cosines[i, j]))
             extra = abs(first.cost - effects[j].cost) * log(n_samples) if n_samples else 0.0
-            energy = separation_energy(c, margin=margin + extra, power=power)
+            energy = separation_energy(c, margin=PLANNING.margin + extra)
             pairs.append(Pair(effects[j].key, first.key, c, energy))
     pairs.sort(key=lambda p: (-abs(p.cosine), p.first, p.second))
     return Isolability(
@@ -225,8 +218,8 @@ def isolability(
         pairs=tuple(pairs),
         groups=_groups([e.key for e in effects], pairs),
         undetectable=undetectable,
-        margin=margin,
-        power=power,
+        margin=PLANNING.margin,
+        power=PLANNING.power,
         laws={e.key: law for e in effects if (law := law_of(e.kind, e.description))},
     )
 

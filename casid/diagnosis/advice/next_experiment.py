@@ -133,9 +133,6 @@ def next_experiment(
     at: Weighted,
     suspects: Sequence[Suspect],
     *,
-    margin: float = PLANNING.margin,
-    power: float = PLANNING.power,
-    seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Advice:
     """Compare feasible next experiments by how soon they separate tied causes.
@@ -145,8 +142,6 @@ def next_experiment(
     problem : its load cases and recorded channels are what an experimenter may use.
     at : the model without the suspects, fitted under its noise (`Weighing.weigh`).
     suspects : two or more causes that the record cannot separate, with their sizes.
-    margin, power : as in `isolability`.
-    seed : of multisines.
 
     Returns
     -------
@@ -172,8 +167,8 @@ def next_experiment(
             "least two, each once: one variant of each kind and place"
         )
     say = progress or (lambda _: None)
-    planner = Planner(FittedMotion(problem, at, seed), seed)
-    rule = _Rule(at, tuple(suspects), margin, power, planner.motion.period())
+    planner = Planner(FittedMotion(problem, at))
+    rule = _Rule(at, tuple(suspects), planner.motion.period())
     now = rule.judged(planner.again(), None)
     proposals = []
     for planned in planner.all():
@@ -234,8 +229,6 @@ class _Rule:
 
     at: Weighted
     suspects: tuple[Suspect, ...]
-    margin: float
-    power: float
     least: float = 0.0  # seconds: less than a period of what moves shows no motion
 
     def judged(self, planned: Planned, now: Proposal | None) -> Proposal:
@@ -253,7 +246,7 @@ class _Rule:
             for b in self.suspects[:i]:
                 j, k = place[a.effect.key], place[b.effect.key]
                 cosine = likeness(a.effect, b.effect, float(table.cosines[j, k]))
-                energy = separation_energy(cosine, margin=self.margin, power=self.power)
+                energy = separation_energy(cosine)
                 given = [self._given(s, table, place) for s in (a, b)]
                 if min(given) <= 0.0:
                     energy = inf  # one of them is undetectable

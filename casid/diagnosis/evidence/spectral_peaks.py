@@ -204,11 +204,11 @@ class PeriodicCandidate:
         return self.peak.p_value
 
 
-def peaks_of(fit: Fit, *, alpha: float = 0.05, most: int = PEAKS.most_forces) -> list[Peak]:
+def peaks_of(fit: Fit, *, alpha: float = 0.05) -> list[Peak]:
     """The significant peaks of a whitened simulation error, as `find_peaks` has them."""
     of = fit.criterion
     residuals = [of.columns(fit.x, k)[0] for k in range(len(of.data))]
-    return find_peaks(residuals, [d.Ts for d in of.data], alpha=alpha, most=most)
+    return find_peaks(residuals, [d.Ts for d in of.data], alpha=alpha, most=PEAKS.most_forces)
 
 
 def periodic_candidates(

@@ -77,7 +77,7 @@ class Refitting:
             return None
         best = self._with_higher_bound(at, best)
         self.attempts.succeeded(name_of(effect))
-        return best if _is_plausible(at, best) else None
+        return best if _is_plausible(best) else None
 
     def _from_shorter_step(
         self,
@@ -209,7 +209,7 @@ class Refitting:
             return new
         whole = partial(self._from, at, effect, values, None, found.fit.values, best=new)
         other = self.attempts.attempt(name_of(effect), whole)
-        if other is None or not _is_plausible(at, other):
+        if other is None or not _is_plausible(other):
             return new
         return other if new is None or other.gain > new.gain else new
 
@@ -218,7 +218,7 @@ class Refitting:
         below = found.fit.solution.value
         there = partial(self._from, at, effect, found_values(found), None, found.fit.values, below)
         other = self.attempts.attempt(name_of(effect), there)
-        return other if other is not None and _is_plausible(at, other) else None
+        return other if other is not None and _is_plausible(other) else None
 
     def judged(
         self, at: Weighted, effect: Effect, names: tuple[str, ...], model: Model, fit: Fit
@@ -281,7 +281,7 @@ def _is_farther(at: Weighted, fit: Fit) -> bool:
     return fit.solution.value > (1 + REFITS.enough) * at.fit.solution.value
 
 
-def _is_plausible(at: Weighted, found: Candidate) -> bool:
+def _is_plausible(found: Candidate) -> bool:
     """False of an effect below its least size."""
     effect = found.effect
     size = found.fit.values[found.names[0]] - effect.parameters[0].start

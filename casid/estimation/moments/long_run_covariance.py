@@ -42,17 +42,17 @@ def cross_covariances(a: Array, b: Array, lags: int) -> Array:
     return out / n
 
 
-def memory(signal: Array, *, largest: int | None = None) -> int:
+def memory(signal: Array) -> int:
     """The lag after which the autocorrelation of (N,) samples stays within its noise.
 
     The smallest m such that |rho(m + k)| < 2 sqrt(log10(N)/N) for k = 1 .. K,
     K = max(5, sqrt(log10 N)); Politis (2003, section 2). Lags are computed as far as they are
-    needed, `largest` (default sqrt(N), at least 20) at most.
+    needed, to sqrt(N) or 20 at most.
     """
     n = len(signal)
     if n < 3:
         return 0
-    largest = min(n - 2, max(20, int(np.sqrt(n)))) if largest is None else largest
+    largest = min(n - 2, max(20, int(np.sqrt(n))))
     zero = float(np.dot(signal, signal))
     if zero == 0.0:
         return 0

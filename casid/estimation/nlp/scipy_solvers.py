@@ -104,7 +104,7 @@ def run_scipy(
     unit = unit if np.isfinite(unit) and unit > 0 else 1.0
     slope = np.abs(first.jacobian * scale).max(axis=1, initial=0.0)
     slope = np.where(slope > 0, slope, 1.0)
-    arguments = _functions(program, scale, unit, slope)
+    arguments = _functions(program, scale, unit)
     counts = arguments.pop("counts")
     options, constraints = _method(name, program, scale, unit, slope)
 
@@ -125,7 +125,7 @@ def run_scipy(
     return timed(solve)
 
 
-def _functions(program: Program, scale: Array, unit: float, slope: Array) -> dict[str, Any]:
+def _functions(program: Program, scale: Array, unit: float) -> dict[str, Any]:
     """Objective, gradient and their counter in the solver's variables."""
     counts: list[int] = []
 

@@ -267,7 +267,7 @@ def smooth_track(
         )
     model = coordinated_turn(record.Ts, drifts=drifts)
     smoother = ExtendedSmoother(model)
-    start, x0, P0 = _start(record, names, used, sd, model)
+    start, x0, P0 = _start(record, names, sd, model)
     for name in levels or {}:
         if name not in model.levels:
             raise ModelError(
@@ -312,7 +312,6 @@ def rounding_error(values: Array, digits: int = 3) -> Array:
 def _start(
     record: Record,
     names: Mapping[str, str],
-    used: Array,
     sd: Array,
     model: StochasticModel,
 ) -> tuple[dict[str, float], Array, Array]:

@@ -118,8 +118,6 @@ def null_directions(
     *,
     initial_states: Sequence[str] = (),
     seed: int = 0,
-    primes: Sequence[int] | None = None,
-    max_unknowns: int = 600,
 ) -> tuple[NullDirection, ...]:
     """The null directions as functions of the physical symbols, one for each free parameter.
 
@@ -130,11 +128,11 @@ def null_directions(
     free : d of them, on which the basis is the identity.
     variables : all names the basis may depend on: parameters, constants, initial values.
     initial_states : those of the variables that are unknown initial values and no columns.
-    max_unknowns : entries that need more coefficients at a time are left as None.
 
     Returns
     -------
-    one direction for each free parameter; each leaves the other free parameters unchanged.
+    one direction for each free parameter; each leaves the other free parameters unchanged. An entry
+    with too many coefficients for `interpolate` is None.
     Every entry is verified at fresh points modulo a prime it was not found with: the probability
     that one is wrong is about its degree / 2^30, cubed.
 
@@ -157,7 +155,7 @@ def null_directions(
             )
         return basis.ravel() % p
 
-    found = interpolate(entries, variables, seed=seed, primes=primes, max_unknowns=max_unknowns)
+    found = interpolate(entries, variables, seed=seed)
     expressions = [None if f is None else f.to_sympy() for f in found]
     return tuple(
         NullDirection(

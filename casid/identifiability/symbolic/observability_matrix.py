@@ -9,7 +9,7 @@ Source: Linder (2017), section 2.7, (2.64), after Hermann and Krener (1977) and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -163,20 +163,8 @@ class ObservabilityMatrix(Presented):
             self._place(c)
         return self._columns([c for c in self.columns if c not in columns])
 
-    def row_reduced(self, columns: Sequence[str] | None = None) -> ReducedForm:
-        """Reduced row echelon form, as in (7.20)-(7.23).
-
-        Parameters
-        ----------
-        columns : order of the columns; those that come first become pivots. Default: as they are.
-        """
-        if columns is not None and sorted(columns) != sorted(self.columns):
-            raise ModelError(
-                f"{self.system}: columns must be {', '.join(self.columns)} in any order, "
-                f"not {', '.join(columns)}"
-            )
-        if columns is not None:
-            return self._columns(list(columns)).row_reduced()
+    def row_reduced(self) -> ReducedForm:
+        """Reduced row echelon form, as in (7.20)-(7.23); the first columns become pivots."""
         return self._reduced
 
     def null_directions(self) -> tuple[Mapping[str, Expr], ...]:

@@ -80,7 +80,7 @@ def profile(matrix: Any, *, seed: int = 0, find_idle: bool = False) -> Profile:
         rows = arithmetic.echelon(numbers.T)[1]
         idle: set[Any] = set()
         if find_idle and entries.is_rational:
-            idle = {s for s in entries.symbols if _is_idle(s, entries, arithmetic, values, reduced)}
+            idle = {s for s in entries.symbols if _is_idle(s, arithmetic, values, reduced)}
         support = arithmetic.is_nonzero(reduced)
         found.append(Profile(tuple(rows), tuple(pivots), support, frozenset(idle)))
     best = min(found, key=lambda p: (-p.rank, p.pivots, p.rows))
@@ -265,9 +265,7 @@ def _at_some_point(entries: _Entries, arithmetic: _Arithmetic) -> tuple[dict[Any
     )
 
 
-def _is_idle(
-    symbol: Any, entries: _Entries, arithmetic: _Arithmetic, values: Values, reduced: Array
-) -> bool:
+def _is_idle(symbol: Any, arithmetic: _Arithmetic, values: Values, reduced: Array) -> bool:
     """True if the reduced form stays as it is when this symbol alone gets another value."""
     try:
         numbers = arithmetic.evaluate({**values, symbol: arithmetic.draw()})

@@ -112,13 +112,13 @@ def gain_step(model: Model, channel: str, time: float, end: float | None = None)
         made = sensor_scale(model, channel)
         what = f"the gain of the sensor of {channel}"
     else:
-        made = _input_gain(model, channel)
+        made = _input_gain(channel)
         what = f"{GAIN_OF_INPUT} {channel} acts"
     when = DURING_THE_RECORD if end is None else FOR_A_WHILE
     return replace(_set_in(made, time, end), description=f"{what} changes {when}")
 
 
-def _input_gain(model: Model, channel: str) -> Effect:
+def _input_gain(channel: str) -> Effect:
     """A recorded input u that acts as u (1 + gain)."""
 
     def apply(new: Model, names: Sequence[str]) -> None:

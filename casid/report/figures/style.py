@@ -42,9 +42,9 @@ def figure_text(text: object, longest: int = 40) -> str:
     return html.escape(plain, quote=False).replace("%", "&#37;").replace("$", "&#36;")
 
 
-def effect_label(kind: str, where: str, description: str = "", longest: int = 34) -> str:
+def effect_label(kind: str, where: str, description: str = "") -> str:
     """An effect and its place in words, short enough for a tick: `cubic stiffness, torque`."""
-    return short_label(effect_words(kind, where, description=description), longest)
+    return short_label(effect_words(kind, where, description=description))
 
 
 def short_label(words: str, longest: int = 34) -> str:

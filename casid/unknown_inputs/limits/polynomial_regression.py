@@ -29,7 +29,6 @@ def instrumental_limit(
     sources: Mapping[str, str],
     references: Sequence[str],
     orders: Orders,
-    truth: Mapping[str, float] | None = None,
     *,
     lags: int | None = None,
     method: str | None = None,
@@ -58,7 +57,6 @@ def instrumental_limit(
         return regression_limit(
             stage.system,
             Regression(output, regressors, list(made.values())),
-            truth,
             method=method,
         )
     except IdentifiabilityError as why:

@@ -224,7 +224,7 @@ class _Equations:
             self._require_moved(left, shown, what, remedy)
         theta = solve(left, (Zeta @ second @ y)[:, None], shown, what, remedy)[:, 0]
         residual = y - theta @ Phi
-        A, B, W = self._influence(phi, zeta, Phi, Zeta, residual, theta, left)
+        A, B, W = self._influence(phi, zeta, Zeta, residual, theta, left)
         Q = self.moments.product_covariance(A, B)
         return theta, W @ Q @ W.T, self.moments.variance(residual)
 
@@ -268,7 +268,6 @@ class _Equations:
         self,
         phi: list[_Form],
         zeta: list[_Form],
-        Phi: Array,
         Zeta: Array,
         residual: Array,
         theta: Array,

@@ -189,9 +189,7 @@ def require_existence(system: UnknownInputSystem, *, tolerance: float = TOLERANC
     return found
 
 
-def unrecoverable_inputs(
-    system: UnknownInputSystem, *, tolerance: float = TOLERANCE
-) -> tuple[str, ...]:
+def unrecoverable_inputs(system: UnknownInputSystem) -> tuple[str, ...]:
     """Names of unknown inputs that the outputs do not determine, whatever is done with them.
 
     Input i can be recovered iff G without column i has a rank one lower, G = C (z I - A)^-1 E + F
@@ -205,11 +203,11 @@ def unrecoverable_inputs(
         G = s.C @ np.linalg.solve(z * np.eye(s.nx) - s.A, s.E) + s.F
         G = G / np.maximum(np.linalg.norm(G, axis=0), TINY)  # units of the inputs do not count
         G = G / np.maximum(np.linalg.norm(G, axis=1, keepdims=True), TINY)
-        whole = rank(G, tolerance)
+        whole = rank(G, TOLERANCE)
         lost &= {
             name
             for i, name in enumerate(s.unknown)
-            if rank(np.delete(G, i, axis=1), tolerance) == whole
+            if rank(np.delete(G, i, axis=1), TOLERANCE) == whole
         }
     return tuple(n for n in s.unknown if n in lost)
 

@@ -95,7 +95,7 @@ def reconstruct_input(
     levels |= {p.level: (rate or {}).get(i) for i, p in zip(s.unknown, shapes, strict=True)}
     model = _stochastic(s, A, C, Q0, sources, tuple(levels), n)
     smoother = ExtendedSmoother(model)
-    used, guesses = np.isfinite(y), _guesses(s, y, shapes, levels, record.Ts)
+    used, guesses = np.isfinite(y), _guesses(s, y, shapes, levels)
     free = [name for name, value in levels.items() if value is None]
     x0 = np.zeros(n)
     scale = np.array([np.sqrt(np.nanmean(c**2)) or 1.0 for c in y.T])
@@ -234,7 +234,6 @@ def _guesses(
     y: Array,
     shapes: Sequence[_Shape],
     levels: Mapping[str, float | None],
-    Ts: float,
 ) -> dict[str, float]:
     """The levels given, and starts of the others.
 

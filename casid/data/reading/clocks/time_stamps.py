@@ -289,9 +289,7 @@ def _refuse_clock_change(stamps: pd.Series[pd.Timestamp], where: str) -> None:
                 )
 
 
-def of_times_of_day(
-    column: pd.Series[str], unit: str | None, where: str, start: float | None = None
-) -> Stamps | None:
+def of_times_of_day(column: pd.Series[str], unit: str | None, where: str) -> Stamps | None:
     """Seconds since midnight of `hh:mm:ss`, past midnight going on; None where they are no such.
 
     Raises

@@ -127,11 +127,11 @@ class TextSource:
         """The first lines."""
         return list(itertools.islice(self.lines(), HEAD))
 
-    def tail(self, size: int = 1 << 16) -> list[str]:
+    def tail(self) -> list[str]:
         """The last lines, the first of them perhaps cut."""
         with self._bytes() as file:
             end = file.seek(0, io.SEEK_END)
-            file.seek(max(0, end - size))
+            file.seek(max(0, end - (1 << 16)))
             content = file.read()
         text = content.decode(self.encoding, errors="replace")
         return text.replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n")

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from casid.arrays import TINY, Array
 from casid.errors import DataError, ModelError
 from casid.estimation.moments.moments import Moments, moments
-from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial.estimation import prediction_error
 from casid.estimation.prediction_error.polynomial.model import PolynomialModel
 from casid.estimation.prediction_error.polynomial.orders import (
@@ -118,7 +117,6 @@ def arma(
     *,
     start: Arma | None = None,
     discard: int | None = None,
-    solver: Solver | str | None = None,
     throw: bool = True,
 ) -> Arma:
     """Fit ar v = ma e to a residual by prediction error.
@@ -128,7 +126,7 @@ def arma(
     residual : (N,) array of zero mean, or a list of them (records, gaps).
     na, nc : free coefficients of ar and ma; both 0 gives the variance alone.
     start : a previous estimate with the same orders, as inside an iteration.
-    discard, solver, throw : as `prediction_error`. Inside an iteration
+    discard, throw : as `prediction_error`. Inside an iteration
         ``throw=False`` keeps a short or overfitted residual, whose moving average runs to the unit
         circle, from ending it: see `is_converged`.
 
@@ -147,7 +145,6 @@ def arma(
         Orders(na=na, nc=nc),
         start=None if start is None else start.fit,
         discard=discard,
-        solver=solver,
         throw=throw,
     )
     return Arma(model.A, model.C, model.noise_variance, model.covariance, model)

@@ -100,7 +100,7 @@ def estimate_module(
     verdict = _accepted_consistency(equation, module, method, layout, accept_bias)
     data = module_data(equation, record)
     _refuse_short(data, layout)
-    fit = _fit(method, data, orders, layout, lags, prefilter_order, solver)
+    fit = _fit(method, data, orders, lags, prefilter_order, solver)
     return ModuleEstimate(method, equation, verdict, fit, data)
 
 
@@ -214,7 +214,6 @@ def _fit(
     method: str,
     data: ModuleData,
     orders: Orders,
-    layout: Layout,
     lags: int | None,
     prefilter_order: int,
     solver: Solver | None,

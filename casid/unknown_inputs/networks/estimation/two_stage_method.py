@@ -50,7 +50,7 @@ def two_stage(
     inputs = {n: first.made_of(n) if n in nodes else x[lags - 1 :] for n, x in data.inputs.items()}
     model = prediction_error(y, inputs, orders, Ts=data.Ts, solver=solver)
     layout = Layout.of(orders, tuple(inputs))
-    covariance = _covariance(data, first, layout, model.theta, y, inputs, model.discarded[0])
+    covariance = _covariance(first, layout, model.theta, y, inputs, model.discarded[0])
     notes = list(model.notes)
     if late := first.unsettled():
         notes.append(
@@ -70,7 +70,6 @@ def two_stage(
 
 
 def _covariance(
-    data: ModuleData,
     first: ReferenceResponses,
     layout: Layout,
     theta: Array,
