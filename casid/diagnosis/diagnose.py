@@ -16,7 +16,7 @@ from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.calibration.false_alarm_rate import calibrate as run_calibration
 from casid.diagnosis.calibration.false_alarm_rate import require_runs
-from casid.diagnosis.calibration.null_runs import Null
+from casid.diagnosis.calibration.null_runs import recipe_of
 from casid.diagnosis.diagnosis import Diagnosis, Evidence, Gain, Limits
 from casid.diagnosis.evidence.baseline import fit_baseline
 from casid.diagnosis.evidence.recorded_channels import with_unused_columns
@@ -336,7 +336,7 @@ def _calibrated(
     )
     return run_calibration(
         problem,
-        Null(found.baseline.split, found.baseline.start, found.base_fit),
+        recipe_of(found.baseline.split, found.baseline.start, found.base_fit),
         diagnose_null=null,
         alpha=settings.alpha,
         runs=runs,

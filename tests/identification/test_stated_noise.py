@@ -77,3 +77,20 @@ def test_identify_gives_the_note_beside_its_estimate():
     record = casid.Record({"acc": noisy(), "phi": phi}, {"acc": "m/s^2", "phi": "rad"}, Ts=TS)
     estimate = casid.identify(problem(0.02), record, intervals="quick")
     assert any("is stated" in note for note in estimate.warnings)
+
+
+def test_identify_with_a_disturbance_gives_the_note_as_well():
+    """What is doubtful in a problem does not depend on the criterion of the estimate."""
+    rng, x, h = np.random.default_rng(5), np.zeros(2), TS / 10
+    acc, phi = np.repeat(rng.standard_normal(N // 10), 10), np.zeros(N)
+    for k in range(N):
+        phi[k] = x[0] + 1e-3 * rng.standard_normal()
+        push = 0.3 * rng.standard_normal()  # of one sample, in the motion alone
+        for _ in range(10):
+            x[1] += h * (-9.81 * x[0] - acc[k] - push)
+            x[0] += h * x[1]
+    measured = acc + SD * rng.standard_normal(N)
+    columns, units = {"acc": measured, "phi": phi}, {"acc": "m/s^2", "phi": "rad"}
+    record = casid.Record(columns, units, Ts=TS)
+    estimate = casid.identify(problem(0.02), record, disturbances="swing:white", intervals="quick")
+    assert any("is stated" in w for w in estimate.warnings)

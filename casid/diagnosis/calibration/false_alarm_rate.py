@@ -32,7 +32,8 @@ from casid.campaigns.parquet_parts import FAILED, Parts
 from casid.data.problem import Problem
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.calibration.interruption import ended_in_time, interruptible
-from casid.diagnosis.calibration.null_runs import Diagnose, Null, NullRun, can_travel, recipe_of
+from casid.diagnosis.calibration.null_records import Recipe
+from casid.diagnosis.calibration.null_runs import Diagnose, NullRun, can_travel
 from casid.diagnosis.thresholds import CALIBRATING
 from casid.errors import DataError, SolveError
 from casid.time_limit import require_time
@@ -40,7 +41,7 @@ from casid.time_limit import require_time
 
 def calibrate(
     problem: Problem,
-    null: Null,
+    recipe: Recipe,
     *,
     diagnose_null: Diagnose,
     alpha: float = 0.05,
@@ -56,7 +57,7 @@ def calibrate(
 
     Parameters
     ----------
-    null : what the records are drawn from.
+    recipe : what the records are drawn from.
     diagnose_null : what is run on every null record, with the settings of the diagnosis itself: a
         function at the top of a module, or a `functools.partial` of one.
     alpha : the family-wise rate requested.
@@ -73,7 +74,7 @@ def calibrate(
     """
     require_runs(runs)
     say = progress or (lambda _: None)
-    run = NullRun(problem, recipe_of(null), diagnose_null, alpha)
+    run = NullRun(problem, recipe, diagnose_null, alpha)
     table, is_interrupted = _table(run, runs, seed, jobs, say)
     done = table[table[FAILED].isna()] if len(table) else table
     if not len(done):

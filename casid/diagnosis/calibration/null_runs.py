@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -47,27 +46,17 @@ Diagnose = Callable[..., Diagnosed]
 """Called with problem and experiments, and `hold_out` and `false_alarm_rate` by name."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Null:
-    """The hypothesis that nothing is missing, for one problem and its records.
+def recipe_of(split: Split, at: Weighted, base_fit: Fit) -> Recipe:
+    """What records are drawn from in which nothing is missing, for one problem and its records.
 
-    Attributes
+    Parameters
     ----------
     split : what was recorded, fitted and held out, with what is to be left out marked missing.
     at : the fitted model and its noise.
     base_fit : the fit of the model as it is.
     """
-
-    split: Split
-    at: Weighted
-    base_fit: Fit
-
-
-def recipe_of(null: Null) -> Recipe:
-    """The recipe of null records, from a fit, its noise and the held-out part."""
-    at, noise = null.at, null_noise(null.at.full, null.at.criterion.outputs, null.at.input_sd)
-    values = (at.unbiased or at.fit).values
-    return Recipe.of(null.split, null.base_fit.criterion, values, noise)
+    noise = null_noise(at.full, at.criterion.outputs, at.input_sd)
+    return Recipe.of(split, base_fit.criterion, (at.unbiased or at.fit).values, noise)
 
 
 class NullRun:

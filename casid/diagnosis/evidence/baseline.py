@@ -157,8 +157,9 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     say = settings.progress
     split, little = holding_out_measured(split, list(problem.model.outputs))
     say("fit the model as it is")
-    split, of_windows, begun = records_in_windows(problem.model, split, settings.fit, say)
-    fit, negated, sizes = _with_signs_as_recorded(problem, split, settings, begun)
+    windows = records_in_windows(problem.model, split, settings.fit, say)
+    split = windows.split
+    fit, negated, sizes = _with_signs_as_recorded(problem, split, settings, windows.start)
     as_recorded: Fit | None = None
     if sizes is not None:
         problem, as_recorded, fit = replace(problem, model=sizes.model), fit, sizes.fit
@@ -166,20 +167,23 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         as_recorded, split = _negated(problem, split, settings, negated, fit)
     if fit is None or negated is not None:
         fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
-    split, fit = _with_steps_placed(problem, split, settings, fit)
-    split, fit, gaps = _with_levels_filled(problem, split, settings, fit)
-    split, fit, sized = _with_growing_noise(problem, split, settings, fit)
-    corrupted, split, fit, less = _cleaned(problem, split, settings, fit)
+    records = _Cleaning(problem, settings, split, fit)
+    records.place_steps()
+    gaps = records.fill_levels()
+    sized = records.weigh_growing_noise()
+    corrupted, less = records.leave_out_corrupted()
     if corrupted.count:  # what a faulty sensor had bent the fit by, steps were placed against
-        split, fit = _with_steps_placed(problem, split, settings, fit)
-    fit = weighted_by_errors(fit, settings.fit)
-    between = steps_between_rows(fit, settings.alpha)
+        records.place_steps()
+    records.fit = weighted_by_errors(records.fit, settings.fit)
+    split = records.split
+    between = steps_between_rows(records.fit, settings.alpha)
     channels, notes = channels_held_out_too(varying_channels(problem, split.fitted), split.apart)
     weighing = Weighing(
         split.fitted, known_noise=problem.noise, solver=settings.fit.solver, seed=settings.fit.seed
     )
     say("estimate the noise")
-    fit, start = _weighed(problem, split, settings, weighing, fit)
+    start = records.weigh(weighing)
+    fit = records.fit
     errors = partial(std_error, start.fit)
     undecided = why_undecided(fit, start, errors, split.whole)
     if not undecided and not fit.solution.is_converged:
@@ -198,83 +202,83 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         why_undecided=undecided,
         why_doubtful="" if undecided else why_doubtful(fit, start, errors),
         notes=(
-            *filter(None, (of_windows, sized, less or little, between.note if between else "")),
+            *filter(None, (windows.note, sized, less or little, between.note if between else "")),
             *notes,
         ),
         levels=gaps,
     )
 
 
-def _weighed(
-    problem: Problem, split: Split, settings: DiagnosisSettings, weighing: Weighing, fit: Fit
-) -> tuple[Fit, Weighted]:
-    """The fit under its noise, and the fit itself, with steps fine enough for both."""
-    start = weighing.weigh(problem.model, fit)
-    fine = resolved_under(fit.criterion, start.fit.x, start.noise.whiten)
-    if fine is fit.criterion:
-        return fit, start
-    finer = replace(settings, fit=replace(settings.fit, substeps=fine.substeps))
-    fit = _refitted(problem, split, finer, replace(fit, criterion=fine))
-    return fit, weighing.weigh(problem.model, fit)
+@dataclass(slots=True)
+class _Cleaning:
+    """Records and their fit while faults of the recording are found, one kind after the other.
 
-
-def _cleaned(
-    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
-) -> tuple[CorruptedSamples, Split, Fit, str]:
-    """Corrupted samples, the records without them, their fit, and a note if less is held out."""
-    corrupted, split = without_corrupted(
-        fit, split, settings.alpha, without=tuple(settings.without)
-    )
-    if not corrupted.count:
-        return corrupted, split, fit, ""
-    settings.progress(
-        f"leave out {count_text(corrupted.count, 'clipped or outlying sample')} and fit again"
-    )
-    split, note = holding_out_measured(split, list(problem.model.outputs))
-    return corrupted, split, _refitted(problem, split, settings, fit), note
-
-
-def _with_growing_noise(
-    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
-) -> tuple[Split, Fit, str]:
-    """The records with sizes of noise that grows with the reading, their fit, and a note on it.
-
-    As given where it is not seen to grow, or no longer once the fit counts by it.
+    Each step leaves records without a kind of fault in `split`, and their fit in `fit`.
     """
 
-    def again(records: Split, near: Fit) -> Fit:
-        settings.progress("weigh samples by noise that grows with the reading")
-        return _refitted(problem, records, settings, near)
+    problem: Problem
+    settings: DiagnosisSettings
+    split: Split
+    fit: Fit
 
-    split, fit, names = fitted_in_sizes(fit, split, problem.noise, again)
-    average = ", and RMS errors are those of samples with noise of average size"
-    return split, fit, sized_noise_text(names) + average if names else ""
+    def place_steps(self) -> None:
+        """Place steps of held inputs in gaps."""
+        self.split, moved = with_steps_in_gaps(self.fit, self.split)
+        if moved:
+            steps = count_text(moved, "step")
+            self._refit(f"place {steps} of held inputs in gaps and fit again")
 
+    def fill_levels(self) -> int:
+        """Estimate levels in the gaps of controlled inputs; in how many gaps."""
+        count, by_outputs = 0, self.settings.levels_by_outputs
+        for _ in range(STEPS_IN_GAPS.passes if by_outputs else 1):
+            self.split, count = with_levels_in_gaps(self.fit, self.split, by_outputs=by_outputs)
+            if not count:
+                break
+            gaps = count_text(count, "gap")
+            self._refit(f"estimate the levels of held inputs in {gaps} and fit again")
+        return count
 
-def _with_steps_placed(
-    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
-) -> tuple[Split, Fit]:
-    """The records with steps of held inputs placed in gaps, and their fit."""
-    split, moved = with_steps_in_gaps(fit, split)
-    if not moved:
-        return split, fit
-    settings.progress(f"place {count_text(moved, 'step')} of held inputs in gaps and fit again")
-    return split, _refitted(problem, split, settings, fit)
+    def weigh_growing_noise(self) -> str:
+        """Give sizes to noise that grows with the reading; a note where it still does by these."""
 
+        def again(records: Split, near: Fit) -> Fit:
+            self.settings.progress("weigh samples by noise that grows with the reading")
+            return _refitted(self.problem, records, self.settings.fit, near)
 
-def _with_levels_filled(
-    problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit
-) -> tuple[Split, Fit, int]:
-    """The records with levels in the gaps of controlled inputs, their fit, and how many gaps."""
-    count, by_outputs = 0, settings.levels_by_outputs
-    for _ in range(STEPS_IN_GAPS.passes if by_outputs else 1):
-        split, count = with_levels_in_gaps(fit, split, by_outputs=by_outputs)
-        if not count:
-            break
-        gaps = count_text(count, "gap")
-        settings.progress(f"estimate the levels of held inputs in {gaps} and fit again")
-        fit = _refitted(problem, split, settings, fit)
-    return split, fit, count
+        known = self.problem.noise
+        self.split, self.fit, names = fitted_in_sizes(self.fit, self.split, known, again)
+        average = ", and RMS errors are those of samples with noise of average size"
+        return sized_noise_text(names) + average if names else ""
+
+    def leave_out_corrupted(self) -> tuple[CorruptedSamples, str]:
+        """Leave out corrupted samples; which, and a note if less is held out for it."""
+        without = tuple(self.settings.without)
+        corrupted, self.split = without_corrupted(
+            self.fit, self.split, self.settings.alpha, without=without
+        )
+        if not corrupted.count:
+            return corrupted, ""
+        samples = count_text(corrupted.count, "clipped or outlying sample")
+        self.split, note = holding_out_measured(self.split, list(self.problem.model.outputs))
+        self._refit(f"leave out {samples} and fit again")
+        return corrupted, note
+
+    def weigh(self, weighing: Weighing) -> Weighted:
+        """The model under its noise; it and the fit get steps that are fine enough for both."""
+        start = weighing.weigh(self.problem.model, self.fit)
+        fine = resolved_under(self.fit.criterion, start.fit.x, start.noise.whiten)
+        if fine is self.fit.criterion:
+            return start
+        finer = replace(self.settings.fit, substeps=fine.substeps)
+        near = replace(self.fit, criterion=fine)
+        self.fit = _refitted(self.problem, self.split, finer, near)
+        return weighing.weigh(self.problem.model, self.fit)
+
+    def _refit(self, why: str) -> None:
+        """Fit the changed records, from what the fit was."""
+        self.settings.progress(why)
+        self.fit = _refitted(self.problem, self.split, self.settings.fit, self.fit)
 
 
 def _with_signs_as_recorded(
@@ -292,9 +296,9 @@ def _with_signs_as_recorded(
     return fit, wrong_sign(problem, split.fitted, settings.fit, reported=fit, alpha=alpha), None
 
 
-def _refitted(problem: Problem, split: Split, settings: DiagnosisSettings, fit: Fit) -> Fit:
+def _refitted(problem: Problem, split: Split, settings: FitSettings, fit: Fit) -> Fit:
     """The fit to changed records, from what it was."""
-    again = replace(settings.fit, starts=1, substeps=fit.criterion.substeps)
+    again = replace(settings, starts=1, substeps=fit.criterion.substeps)
     # Where they ended the rank may be poor, which the first fit was judged by at its start.
     return fit_model(
         problem.model, split.fitted, again, start=fit.values, check_rank=False, throw=False

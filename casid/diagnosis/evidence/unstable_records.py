@@ -13,8 +13,9 @@ long windows are to be.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -31,39 +32,50 @@ from casid.model.model import Model
 from casid.model.quantities import quantity_text
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordsInWindows:
+    """Records as they are to be simulated.
+
+    Attributes
+    ----------
+    split : the records, cut into windows where the model is unstable.
+    note : on the windows; empty where there are none.
+    start : variable -> value that a fit in short windows found; empty without one.
+    """
+
+    split: Split
+    note: str = ""
+    start: Mapping[str, float] = field(default_factory=dict)
+
+
 def records_in_windows(
     model: Model, split: Split, settings: FitSettings, say: Callable[[str], None]
-) -> tuple[Split, str, dict[str, float]]:
-    """The records in windows where the model is unstable, a note on them, and where to begin.
+) -> RecordsInWindows:
+    """The records in windows where the model is unstable.
 
-    The same as given, no note and no values where the model is stable, or a simulation of the whole
-    record fits all the same, to its end (a motion that leaves an unstable equilibrium once).
+    As given where it is stable, or a simulation of the whole record fits all the same, to its end
+    (a motion that leaves an unstable equilibrium once).
     """
     criterion = SimulationError(model, split.fitted)
     if not window_for(criterion):
-        return split, "", {}
+        return RecordsInWindows(split)
     say("the model is unstable: fit the whole record once")
     whole = tried(model, split.fitted, replace(settings, starts=1))
     if whole is not None and not (is_poor(whole) or _runs_away(whole, split)):
-        return split, "", {}
+        return RecordsInWindows(split)
     windows = short_windows(criterion, settings, say)
-    samples, start = windows.samples, windows.values
-    criterion = criterion.of_records(split.fitted, start=start)
-    seconds = quantity_text(samples * criterion.data[0].Ts, "s")
+    criterion = criterion.of_records(split.fitted, start=windows.values)
+    seconds = quantity_text(windows.samples * criterion.data[0].Ts, "s")
     apart = quantity_text(1 / growth_rate(criterion), "s")
     say(f"simulate it in windows of {seconds}")
-    fitted, whole_records = (
-        windowed_records(split.fitted, samples),
-        windowed_records(split.whole, samples),
-    )
-    cut = Split(fitted, whole_records, split.held, windowed_records(split.apart, samples))
-    at = "the values of a fit in short windows" if start else "the start values"
-    return (
-        cut,
+    cut = partial(windowed_records, samples=windows.samples)
+    at = "the values of a fit in short windows" if windows.values else "the start values"
+    return RecordsInWindows(
+        Split(cut(split.fitted), cut(split.whole), split.held, cut(split.apart)),
         f"the model is unstable: at {at} a small error grows e-fold in {apart}, so a "
         f"simulation of a whole record diverges. Each window of {seconds} is simulated from an "
         "initial state of its own; errors and what is held out are those of such simulations",
-        start,
+        windows.values,
     )
 
 

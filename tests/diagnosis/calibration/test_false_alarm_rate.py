@@ -23,7 +23,7 @@ from casid.data.arguments import experiments_of
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.calibration.false_alarm_rate import calibrate, require_runs
 from casid.diagnosis.calibration.null_records import NullRecords, Recipe, null_noise
-from casid.diagnosis.calibration.null_runs import Null
+from casid.diagnosis.calibration.null_runs import recipe_of
 from casid.diagnosis.diagnose import diagnose
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.errors import DataError, SolveError
@@ -81,7 +81,7 @@ def replace_record(experiment, y):
 
 def calibrated(diagnose_null, *, runs=200, **more) -> Calibration:
     return calibrate(
-        roll_decay.problem, Null(*decay()), diagnose_null=diagnose_null, runs=runs, **more
+        roll_decay.problem, recipe_of(*decay()), diagnose_null=diagnose_null, runs=runs, **more
     )
 
 
@@ -148,7 +148,7 @@ def mean_p(problem, experiments, *, false_alarm_rate, hold_out):
 def test_the_number_of_processes_changes_nothing():
     problem = casid.load_problem(ROOT / "problems" / "roll_decay.py")
     one, two = (
-        calibrate(problem, Null(*decay()), diagnose_null=mean_p, runs=6, jobs=jobs)
+        calibrate(problem, recipe_of(*decay()), diagnose_null=mean_p, runs=6, jobs=jobs)
         for jobs in (1, 2)
     )
     assert one.smallest.tolist() == two.smallest.tolist()
@@ -295,7 +295,7 @@ def test_the_diagnosis_itself_is_calibrated_on_a_record_of_the_pendulum():
     """12 null records of 8 s: P(more than 3 alarms | 5 %) = 0.2 % (binomial)."""
     split, at, fit = pieces(pendulum.problem, pendulum.simulate(duration=8.0))
     search = functools.partial(diagnose, starts=1, max_causes=1, advise=False)
-    found = calibrate(pendulum.problem, Null(split, at, fit), diagnose_null=search, runs=12)
+    found = calibrate(pendulum.problem, recipe_of(split, at, fit), diagnose_null=search, runs=12)
     assert found.runs == 12
     assert found.alarms.sum() <= 3
     assert found.threshold <= 0.05

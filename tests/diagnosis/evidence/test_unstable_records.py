@@ -131,9 +131,9 @@ def test_an_unstable_model_that_bends_to_the_fitted_part_is_simulated_in_windows
     Where nothing is missing the simulation that fits goes on as the record does.
     """
     split = split_records([casid.Experiment(upright(drag, hangs=True, N=N))], 0.3)
-    cut, note, _ = records_in_windows(problem().model, split, FitSettings(starts=1), lambda _: None)
-    assert bool(note) == (drag > 0.0)
-    assert (cut.fitted[0].window > 0) == (drag > 0.0)
+    cut = records_in_windows(problem().model, split, FitSettings(starts=1), lambda _: None)
+    assert bool(cut.note) == (drag > 0.0)
+    assert (cut.split.fitted[0].window > 0) == (drag > 0.0)
 
 
 def test_the_tangent_of_windows_is_that_of_their_simulations():
@@ -180,10 +180,10 @@ def test_a_stable_model_has_no_windows():
     m.parameters["mgl"] = casid.Parameter("mgl", "N m", -1.5)
     record = upright(N=1000)
     split = split_records([casid.Experiment(record)], 0.3)
-    found, note, start = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
-    assert found is split
-    assert not note
-    assert not start
+    found = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
+    assert found.split is split
+    assert not found.note
+    assert not found.start
 
 
 def levitated(lag: float, N: int = 1500) -> tuple[casid.Model, casid.Record]:
@@ -223,11 +223,13 @@ def test_windows_begin_at_values_of_shorter_ones_and_are_as_long_as_the_model_ha
     m, record = levitated(lag=1e-4, N=1000)
     m.parameters["C"] = casid.Parameter("C", "N m^2/A^2", 8e-6, lower=1e-6, upper=1e-2)
     split = split_records([casid.Experiment(record)], 0.3)
-    cut, note, start = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
-    assert start["C"] == pytest.approx(8e-5, rel=0.01)
+    cut = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
+    assert cut.start["C"] == pytest.approx(8e-5, rel=0.01)
     rate = np.sqrt(2 * 9.81 / 0.01)
-    assert cut.fitted[0].window * record.Ts == pytest.approx(INSTABILITY.per_window / rate, rel=0.1)
-    assert "at the values of a fit in short windows" in note
+    assert cut.split.fitted[0].window * record.Ts == pytest.approx(
+        INSTABILITY.per_window / rate, rel=0.1
+    )
+    assert "at the values of a fit in short windows" in cut.note
 
 
 @pytest.mark.parametrize("window", [pytest.param(100, marks=pytest.mark.slow), 700])
@@ -241,11 +243,11 @@ def test_windows_are_halved_only_while_the_record_holds_no_simulation_over_them(
     m, record = levitated(lag=1e-4, N=1000)
     monkeypatch.setattr(unstable_records, "window_for", lambda _: window)
     split = split_records([casid.Experiment(record)], 0.3)
-    cut, _, start = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
-    found = SimulationError(m, cut.fitted, start=start)
+    cut = records_in_windows(m, split, FitSettings(starts=1), lambda _: None)
+    found = SimulationError(m, cut.split.fitted, start=cut.start)
     hessian = found.evaluate(found.start).hessian
     assert rank_of(found.variables, hessian, found.start).is_full
-    assert (cut.fitted[0].window < window) == (window > 113)
+    assert (cut.split.fitted[0].window < window) == (window > 113)
 
 
 def test_what_a_command_does_is_seen_although_windows_begin_in_states_of_their_own():

@@ -341,5 +341,5 @@ def test_progress_says_how_many_samples_are_left_out(count, said, monkeypatch):
     monkeypatch.setattr(baseline, "_refitted", lambda *a: None)
     problem = SimpleNamespace(model=SimpleNamespace(outputs={}))
     settings = DiagnosisSettings(progress=lines.append)
-    baseline._cleaned(problem, None, settings, None)
+    baseline._Cleaning(problem, settings, None, None).leave_out_corrupted()
     assert lines == [f"leave out {said} fit again"]
