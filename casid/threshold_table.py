@@ -8,33 +8,18 @@ A table is a few frozen groups, one a question: `casid/diagnosis/thresholds.py`,
 
 from __future__ import annotations
 
-from dataclasses import field, fields
-from typing import Any, NamedTuple
-
-HEURISTIC = "heuristic"
+from dataclasses import field
+from typing import Any
 
 
-class Entry(NamedTuple):
-    """One row of a table."""
+def threshold(value: Any, meaning: str, pinned_by: str, source: str = "heuristic") -> Any:
+    """A field of a group.
 
-    name: str  # group.name
-    value: Any
-    meaning: str
-    source: str  # a reference, or "heuristic"
-    pinned_by: str  # a test, or a study run as `python -m <name>`
-
-
-def threshold(value: Any, meaning: str, pinned_by: str, source: str = HEURISTIC) -> Any:
-    """A field of a group."""
+    Parameters
+    ----------
+    pinned_by : a test, or a study run as `python -m <name>`.
+    source : a reference, or "heuristic".
+    """
     return field(
         default=value, metadata={"meaning": meaning, "source": source, "pinned_by": pinned_by}
-    )
-
-
-def entries(*groups: Any) -> tuple[Entry, ...]:
-    """The rows of some groups."""
-    return tuple(
-        Entry(f"{type(group).__name__}.{f.name}", getattr(group, f.name), **f.metadata)
-        for group in groups
-        for f in fields(group)
     )

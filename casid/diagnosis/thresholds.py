@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 POWER_STUDY = "analysis.diagnosis_power"
@@ -1393,43 +1392,3 @@ PLANNING = Planning()
 EXPERIMENTS = Experiments()
 CALIBRATING = Calibrating()
 BUDGET = Budget()
-
-GROUPS = (
-    SUFFICIENCY,
-    BOUNDS,
-    CLIPPING,
-    OUTLIERS,
-    STEPS,
-    STEPS_IN_GAPS,
-    STEPS_BETWEEN_ROWS,
-    DEAD_TIMES,
-    PREWHITENING,
-    SCORES,
-    FUNCTIONS,
-    RESIDUAL,
-    REFERENCES,
-    PEAKS,
-    COGGING,
-    COMPARISON,
-    REFITS,
-    RESTARTS,
-    JUMPS,
-    BURSTS,
-    FRICTION,
-    SHORTLIST,
-    ROUNDS,
-    TERMS,
-    DESCRIPTION,
-    SMOOTHING,
-    FORESIGHT,
-    DISTURBED,
-    GROWTH,
-    JUDGING,
-    PLANNING,
-    EXPERIMENTS,
-    CALIBRATING,
-    BUDGET,
-)
-
-TABLE = entries(*GROUPS)
-"""All of them."""

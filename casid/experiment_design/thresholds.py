@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _TESTS = "tests/experiment_design"
@@ -169,8 +168,3 @@ DURATION = Lengths()
 KEEPING = Keeping()
 STABILITY = Stability()
 CHECKING = Checking()
-
-GROUPS = (DESIGN, STARTING, NUMERICS, DURATION, KEEPING, STABILITY, CHECKING)
-
-TABLE = entries(*GROUPS)
-"""All of them."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _SCREENING = "tests/fleets/test_screening.py"
@@ -105,8 +104,3 @@ SCREENING = Screening()
 GROUPING = Grouping()
 EFFECTS = Effects()
 RECORD_BUDGET = RecordBudget()
-
-GROUPS = (SCREENING, GROUPING, EFFECTS, RECORD_BUDGET)
-
-TABLE = entries(*GROUPS)
-"""All of them."""

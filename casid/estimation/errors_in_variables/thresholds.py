@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _TEST = "tests/estimation/errors_in_variables/test_input_noise.py"
@@ -184,16 +183,3 @@ VARIANCE_SLOPE = VarianceSlope()
 STATED_NOISE = StatedNoise()
 CHANNEL_FLOOR = ChannelFloor()
 VARYING_RESPONSE = VaryingResponse()
-
-GROUPS = (
-    REMOVAL,
-    FILLINGS,
-    FAR_ROOT,
-    VARIANCE_SLOPE,
-    STATED_NOISE,
-    CHANNEL_FLOOR,
-    VARYING_RESPONSE,
-)
-
-TABLE = entries(*GROUPS)
-"""All of them."""

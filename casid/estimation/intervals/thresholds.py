@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _CHOICE = "tests/estimation/intervals/test_choice.py"
@@ -75,8 +74,3 @@ class BootstrapRuns:
 QUADRATIC_TEST = QuadraticTest()
 PROFILE_SEARCH = ProfileSearch()
 BOOTSTRAP_RUNS = BootstrapRuns()
-
-GROUPS = (QUADRATIC_TEST, PROFILE_SEARCH, BOOTSTRAP_RUNS)
-
-TABLE = entries(*GROUPS)
-"""All of them."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _BUDGET = "tests/identification/test_budget.py"
@@ -307,21 +306,3 @@ INPUT_ANSWERS = InputAnswers()
 READINGS = Readings()
 FORESEEN = Foreseen()
 GROWING_NOISE = GrowingNoise()
-
-GROUPS = (
-    RECORD_AGREEMENT,
-    FIT_BUDGET,
-    STEPS,
-    ERROR_WEIGHTS,
-    INPUT_GAPS,
-    INSTABILITY,
-    MEASURED_STATES,
-    TANGENTS,
-    INPUT_ANSWERS,
-    READINGS,
-    FORESEEN,
-    GROWING_NOISE,
-)
-
-TABLE = entries(*GROUPS)
-"""All of them."""

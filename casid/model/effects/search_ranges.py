@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
 _TESTS = "tests/model/effects"
@@ -334,22 +333,3 @@ ACTUATORS = Actuators()
 RANGES = Ranges()
 RECTIFIED = RectifiedSensors()
 UNNAMED_EFFECTS = UnnamedEffects()
-
-GROUPS = (
-    PARAMETER_JUMPS,
-    SATURATIONS,
-    MISSING_MODES,
-    MISSING_STORES,
-    PERIODIC_FORCES,
-    SMOOTHING,
-    FRICTION_RANGES,
-    HYSTERESIS,
-    CONTACT_RANGES,
-    ACTUATORS,
-    RANGES,
-    RECTIFIED,
-    UNNAMED_EFFECTS,
-)
-
-TABLE = entries(*GROUPS)
-"""All of them."""
