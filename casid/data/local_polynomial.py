@@ -123,10 +123,6 @@ class LocalPolynomial:
         below = np.flatnonzero(self.gain(grid, Ts, derivative) < np.sqrt(0.5))
         return float(grid[below[0]] if below.size else grid[-1])
 
-    def noise_gain(self, Ts: float, derivative: int = 0) -> float:
-        """Standard deviation of the result over that of white noise in the samples."""
-        return float(np.linalg.norm(self.taps(Ts, derivative)))
-
     def describe(self, Ts: float, derivative: int = 0) -> str:
         """What it does, with bandwidth, for a record's provenance."""
         what = "smoothed" if derivative == 0 else f"differentiated {derivative} x"

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from casid.diagnosis.diagnosis import Diagnosis
-from casid.diagnosis.verdict.gain import decisive, improves
 from casid.model.quantities import quantity_texts
 
 
@@ -50,7 +49,6 @@ class Facts:
     changes: tuple[ErrorChange, ...]
     coloured: Mapping[str, str]
     tied: frozenset[tuple[str, str]]
-    improves: bool
 
     @classmethod
     def of(cls, d: Diagnosis) -> Facts:
@@ -66,7 +64,6 @@ class Facts:
             changes=tuple(_changes(d)),
             coloured=(d.extended or d.baseline).fit.coloured,
             tied=frozenset(others | {(c.kind, c.where) for c in tied}),
-            improves=improves(decisive(d.fitted, d.held_out)),
         )
 
     @property

@@ -30,7 +30,7 @@ from casid.data.arguments import in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.gain_under_disturbance import (
-    largest_gain_under_disturbance,
+    gains_under_disturbance,
     unwhitened,
 )
 from casid.diagnosis.evidence.prewhitening import (
@@ -236,14 +236,10 @@ class Screen:
         passing = 0.5 * float(
             chdtri(1, SCREENING.share * self.level / (2 * max(len(table.tested), 1)))
         )
-        gain = largest_gain_under_disturbance(
-            bare,
-            self._columns(unwhitened(bare), x),
-            best,
-            known=self.problem.noise,
-            passing=passing,
-        )
-        p = 2.0 * min(p, len(table.tested) * float(chdtrc(1, 2.0 * gain)))
+        columns, known = self._columns(unwhitened(bare), x), self.problem.noise
+        gains = gains_under_disturbance(bare, columns, best, known=known, passing=passing)
+        gain = max(gains, default=0.0)
+        p = 2.0 * min(p, len(table.tested) * float(chdtrc(1, 2.0 * max(gain, 0.0))))
         _, tangent = at.columns(x, 0)
         own = self._parameters(at, x, tangent)
         beside = self._lines(at, x, neighbours=_NEAR)

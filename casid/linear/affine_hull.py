@@ -26,7 +26,6 @@ from casid.algebra.symbolic import evaluate_exactly
 from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
-from casid.linear.linear_constraints import check_consistent as check_consistent
 from casid.linear.linear_constraints import coefficient_names, largest_one, relation
 from casid.linear.parameter_draws import ParameterDraw, Range, count_of_coefficients
 from casid.linear.symbolic_hull import SymbolicHull as SymbolicHull
@@ -81,23 +80,6 @@ class AffineHull:
             relation(row, value, self.coefficients)
             for row, value in zip(self.B, self.b, strict=True)
         )
-
-    def admit(self, B: Array, b: Array, labels: Sequence[str] = ()) -> tuple[Array, Array]:
-        """The hull's constraints and further ones, B (r, n) theta = b (r,), without repetitions.
-
-        Raises
-        ------
-        ModelError
-            If no coefficients satisfy all of them; names which contradict each other.
-        """
-        rows = np.vstack([self.B, np.atleast_2d(np.asarray(B, dtype=float))])
-        right = np.concatenate([self.b, np.atleast_1d(np.asarray(b, dtype=float))])
-        own = [f"the model's constraint {i + 1}" for i in range(self.rank)]
-        given = labels or [f"constraint {i + 1}" for i in range(len(right) - self.rank)]
-        kept = list(
-            check_consistent(rows, right, labels=[*own, *given], coefficients=self.coefficients)
-        )
-        return rows[kept], right[kept]
 
     def __repr__(self) -> str:
         return (

@@ -63,7 +63,7 @@ class Smoothed:
     Attributes
     ----------
     x : (N, nx); P : (N, nx, nx), their covariance.
-    filtered : (N, nx) given the samples up to each; P_filtered : (N, nx, nx).
+    filtered : (N, nx) given the samples up to each.
     innovations : (N, ny), each given the samples before and the outputs before it in the same
         sample; zero where missing. deviations : (N, ny) their standard deviations.
     """
@@ -72,7 +72,6 @@ class Smoothed:
     x: Array
     P: Array
     filtered: Array
-    P_filtered: Array
     innovations: Array
     deviations: Array
     log_likelihood: float
@@ -190,7 +189,6 @@ class ExtendedSmoother:
             x,
             P,
             filtered,
-            P_filtered,
             summary[1 : 1 + ny].T,
             np.sqrt(summary[1 + ny :].T),
             float(np.sum(summary[0])),

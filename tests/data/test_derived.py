@@ -71,7 +71,7 @@ def test_white_noise_grows_by_the_gain_that_is_told():
     e = np.random.default_rng(3).standard_normal(100_000)
     for derivative in (0, 1):
         found = np.std(RATE.apply(e, Ts, derivative))
-        expected = RATE.noise_gain(Ts, derivative)
+        expected = np.linalg.norm(RATE.taps(Ts, derivative))
         assert abs(found / expected - 1) < 4 * np.sqrt(21 / (2 * len(e)))
 
 
@@ -109,7 +109,7 @@ def test_the_noise_of_a_linear_derivation_is_its_noise_gain():
     long = record(4000)
     found = propagated_noise("a", ENTRY, long, {"v": 0.02, "psi": 9.0})
     assert found == pytest.approx(
-        0.02 * RATE.noise_gain(Ts, 1), rel=4 * np.sqrt(21 / (2 * 8 * long.N))
+        0.02 * np.linalg.norm(RATE.taps(Ts, 1)), rel=4 * np.sqrt(21 / (2 * 8 * long.N))
     )
     assert propagated_noise("a", ENTRY, long, {"psi": 9.0}) == 0.0
 

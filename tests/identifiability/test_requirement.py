@@ -26,7 +26,7 @@ def no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*_: object, **__: object) -> None:
         raise AssertionError("something was fitted")
 
-    for name in ("diagnosis.evidence.baseline", "identification.identify"):
+    for name in ("diagnosis.evidence.baseline", "identification.simulated"):
         monkeypatch.setattr(f"casid.{name}.fit_model", forbidden)
     monkeypatch.setattr(Stage, "fit", forbidden)
     monkeypatch.setattr("casadi.nlpsol", forbidden)

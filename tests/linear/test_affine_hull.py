@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from casid.errors import IdentifiabilityError, ModelError
-from casid.linear.affine_hull import affine_hull, check_consistent, image_dimension, symbolic_hull
+from casid.linear.affine_hull import affine_hull, image_dimension, symbolic_hull
 from casid.linear.difference_equation import difference_equation
 from casid.model.model import Model
 from problems.pendulum import direct_model
@@ -207,16 +207,6 @@ def test_the_constraint_follows_the_units_of_coefficients_and_parameters():
     np.testing.assert_allclose(other.B[0], expected / expected[0], rtol=1e-12)
 
 
-def test_the_hull_admits_constraints_that_agree_with_it_and_no_others():
-    hull = affine_hull(pendulum(), NAMES, VALUES, ("I_x", "d"), coefficients=("a1", "a2", "b0"))
-    row, value = by_hand("7.43")
-    B, b = hull.admit(np.array([row, 2 * hull.B[0]]), np.array([value, 2 * hull.b[0]]))
-    assert B.shape == (2, 3)  # the second given row was the hull's own
-    np.testing.assert_allclose(np.linalg.matrix_rank(B), 2)
-    with pytest.raises(ModelError, match="the model's constraint 1 and .* imply.*wrong has 1"):
-        hull.admit(np.array([row, hull.B[0] + row]), np.array([value, 1.0]), ("d known", "wrong"))
-
-
 # -- on difference equations of models -------------------------------------------------------------
 
 
@@ -300,53 +290,6 @@ def test_a_proof_of_an_exact_hold_is_refused_early():
     found = equation("zoh")
     with pytest.raises(ModelError, match="degree beyond 30.*affine_hull, or discretise with"):
         symbolic_hull(found.g, found.parameters, {}, ("m", "z_m"))
-
-
-# -- constraints that contradict each other -------------------------------------------------------
-
-
-def test_rows_that_follow_from_others_are_told_apart():
-    B = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1e-6]]
-    assert check_consistent(np.array(B), np.array([1.0, 2.0, 3.0, 0.0, 5.0])) == (0, 1, 4)
-
-
-def test_all_four_constraints_of_a_known_system_are_consistent():
-    rows = [by_hand(e) for e in ("7.41", "7.43", "7.45", "7.47")]
-    B, b = np.array([r for r, _ in rows]), np.array([v for _, v in rows])
-    assert check_consistent(B, b) == (0, 1, 2)  # three coefficients: the fourth row follows
-
-
-def test_constraints_that_no_coefficients_satisfy_are_refused_by_name():
-    """(7.47) with the d/k of another pendulum contradicts d and k known, which imply their own."""
-    rows = [by_hand(e) for e in ("7.41", "7.43", "7.45")]
-    d_over_k, T = 1.1 * VALUES["d"] / VALUES["k"], VALUES["T"]
-    rows.append(([d_over_k, d_over_k + T, 0.0], T - d_over_k))
-    B, b = np.array([r for r, _ in rows]), np.array([v for _, v in rows])
-    labels = ("k known", "d known", "I_x known", "d/k of stage 2")
-    with pytest.raises(ModelError, match="contradict each other") as refusal:
-        check_consistent(B, b, labels=labels, coefficients=("a1", "a2", "b0"))
-    assert "d/k of stage 2 has" in str(refusal.value)
-    assert "drop one of" in str(refusal.value)
-
-
-def test_the_fewest_contradicting_rows_are_named():
-    B = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [2.0, 2.0, 0.0]])
-    with pytest.raises(ModelError, match=r"drop one of a, c, d,") as refusal:
-        check_consistent(B, np.array([1.0, 9.0, 2.0, 7.0]), labels=("a", "b", "c", "d"))
-    assert "2 theta1 + 2 theta2 = 6" in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("B", "b", "mend"),
-    [
-        ([[0.0, 0.0]], [1.0], "0 = 1, which no theta satisfies; take it out"),
-        ([[np.inf, 0.0]], [1.0], "known parameter that is zero or missing"),
-        ([[1.0, 0.0]], [1.0, 2.0], "give one entry of b for each row"),
-    ],
-)
-def test_broken_rows_are_refused(B, b, mend):
-    with pytest.raises(ModelError, match=mend):
-        check_consistent(np.array(B), np.array(b))
 
 
 # -- refusals ------------------------------------------------------------------------------------

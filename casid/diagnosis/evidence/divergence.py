@@ -7,7 +7,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.thresholds import PREWHITENING
-from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.minimization import Fit, widened
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 
@@ -20,16 +20,8 @@ def diverging_size(fit: Fit, effect: Effect) -> float | None:
     by more than their own rms, leaves the neighbourhood that the test and the refit of the effect
     live in. Each sign that the parameter may have is tried: one that is stable is enough.
     """
-    base = fit.criterion
-    model, names = effect.extended(base.model)
-    wide = SimulationError(
-        model,
-        base.experiments,
-        own=base.own,
-        weights=base.weights,
-        substeps=base.substeps,
-        start=fit.values,
-    )
+    model, names = effect.extended(fit.criterion.model)
+    wide = widened(fit, model)
     x = wide.start
     i = wide.names.index(names[0])
     tiny = PREWHITENING.trial / _added(wide, x, names[0])

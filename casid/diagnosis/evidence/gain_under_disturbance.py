@@ -76,20 +76,6 @@ def gains_under_disturbance(
         yield nothing - own.minus_log_likelihood(beside(i), 2)
 
 
-def largest_gain_under_disturbance(
-    bare: Weighted,
-    plain: Columns,
-    effects: Sequence[int],
-    *,
-    known: Mapping[str, float],
-    passing: float,
-    under: NoiseModel | None = None,
-) -> float:
-    """The largest of the same (`gains_under_disturbance`); 0 where none gains."""
-    gains = gains_under_disturbance(bare, plain, effects, known=known, passing=passing, under=under)
-    return max([0.0, *gains])
-
-
 @dataclass(frozen=True, slots=True)
 class _Residual:
     """The residual of a model under a disturbance: (M,) weighted, of each record."""

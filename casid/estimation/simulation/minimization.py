@@ -136,16 +136,7 @@ def minimize_simulation_error(
         is_done = solution.is_converged or retry == "none" or seconds_left() <= 0.0
         if retry == "unsuccessful" and k == 0 and solution.status == "Solve_Succeeded":
             is_done |= solution.value > 0.5 * first.value
-        if not is_done:
-            # The natural scales of a far start are wrong at the end: once more from there.
-            with suppress(SolveError):
-                solution = _solved(nlp, criterion, solver, solution.x)
-            other = quasi_newton(solver)
-            if not solution.is_converged and other is not None and seconds_left() > 0.0:
-                with suppress(SolveError):
-                    by_gradients = _solved(nlp, criterion, other, solution.x)
-                    solution = by_gradients if by_gradients.is_converged else solution
-        solutions.append(solution)
+        solutions.append(solution if is_done else _improved(nlp, criterion, solver, solution))
     if not solutions:
         require_time(f"the fit of {criterion.model.name}")
         raise SolveError(failures[0])
@@ -153,6 +144,23 @@ def minimize_simulation_error(
     if throw:
         require_minimum(fit)
     return fit
+
+
+def _improved(
+    nlp: Nlp, criterion: SimulationError, solver: Solver | None, solution: Solution
+) -> Solution:
+    """Where a search that begins at the end of an unfinished one ends, or that end."""
+    # The natural scales of a far start are wrong at the end: once more from there.
+    with suppress(SolveError):
+        solution = _solved(nlp, criterion, solver, solution.x)
+    other = quasi_newton(solver)
+    if solution.is_converged or other is None or seconds_left() <= 0.0:
+        return solution
+    with suppress(SolveError):
+        by_gradients = _solved(nlp, criterion, other, solution.x)
+        if by_gradients.is_converged:
+            return by_gradients
+    return solution
 
 
 def require_minimum(fit: Fit) -> None:

@@ -134,11 +134,6 @@ class PolynomialModel(Presented):
         """Whether the simulation is stable: roots of A and F inside the unit circle."""
         return all(is_stable(p) for p in (self.A, *self.F.values()))
 
-    @property
-    def is_predictor_stable(self) -> bool:
-        """Whether the one-step predictor is stable: roots of C and F inside the unit circle."""
-        return all(is_stable(p) for p in (self.C, *self.F.values()))
-
     # -- signals -----------------------------------------------------------------------------
 
     def prediction_errors(self, y: ArrayLike, u: Any = None) -> Array:

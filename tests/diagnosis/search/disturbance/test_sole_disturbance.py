@@ -11,7 +11,7 @@ import pytest
 import casid
 from casid.diagnosis.evidence import prewhitening
 from casid.diagnosis.evidence.gain_under_disturbance import (
-    largest_gain_under_disturbance,
+    gains_under_disturbance,
     unwhitened,
 )
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
@@ -58,9 +58,7 @@ def assert_exact_instants_gain(bare: Weighted, start: Weighted, *, rough: Effect
     columns = extended_columns(replace(at.fit, criterion=unwhitened(at)), [rough, exact])
     needed = 0.5 * price_of(exact.cost, start.criterion.n_samples, 50)
     gains = [
-        largest_gain_under_disturbance(
-            at, columns, [i], known={}, passing=needed, under=start.noise
-        )
+        max(gains_under_disturbance(at, columns, [i], known={}, passing=needed, under=start.noise))
         for i in (0, 1)
     ]
     assert gains[0] < needed < gains[1]
@@ -234,7 +232,7 @@ def test_a_step_gains_most_of_what_the_refit_of_an_effect_gains_beside_a_sea(see
     at = replace(bare, fit=bare.unbiased or bare.fit)
     drag = quadratic_damping(start.model, "moment")
     plain = extended_columns(replace(at.fit, criterion=unwhitened(at)), [drag])
-    gain = largest_gain_under_disturbance(at, plain, [0], known={}, passing=1.0)
+    gain = max(gains_under_disturbance(at, plain, [0], known={}, passing=1.0))
     model, _ = drag.extended(start.model)
     beside = search.weighing.with_disturbances()
     fit = fit_model(model, search.weighing.experiments, FitSettings(starts=1))
