@@ -49,8 +49,7 @@ def regressions(
             place,
             [name for name, _ in named],
             Regression(
-                fit.criterion,
-                fit.x,
+                fit,
                 at.noise,
                 place,
                 [group for _, group in named],

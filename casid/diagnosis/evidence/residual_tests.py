@@ -158,12 +158,12 @@ def residual_tests(
                 regression.e[a:b].reshape(-1, len(criterion.outputs))
                 for a, b in zip(ends[:-1], ends[1:], strict=True)
             ]
-        tested = regression.test(seed=seed)
+        tested = regression.test()
         if not tested:
             continue
         best = min(tested, key=lambda t: t.p_value)
         p = min(1.0, len(places) * best.adjusted)
-        share = _share(regression, seed) if p < max(alpha, RESIDUAL.share_p) else 0.0
+        share = _share(regression) if p < max(alpha, RESIDUAL.share_p) else 0.0
         better = correlated is None or (p, -share) < (correlated.p_value, -correlated.share)
         if better:
             p_dependence = p
@@ -220,12 +220,12 @@ def _holm(p: Sequence[float], alpha: float) -> list[bool]:
 # -- dependence -----------------------------------------------------------------------------------
 
 
-def _share(regression: Regression, seed: int) -> float:
+def _share(regression: Regression) -> float:
     """Share of what is left that the best function and up to two more explain."""
     chosen: list[int] = []
     gain = 0.0
     for k in range(RESIDUAL.functions):
-        tested = regression.test(chosen, draws=SCORES.few_draws, seed=seed)
+        tested = regression.test(chosen, draws=SCORES.few_draws)
         if not tested:
             break
         best = max(tested, key=lambda t: t.gain)

@@ -31,6 +31,7 @@ from casid.estimation.feedback import (
     slope,
 )
 from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 
 
@@ -80,8 +81,7 @@ class Regression:
 
     def __init__(
         self,
-        criterion: SimulationError,
-        x: Array,
+        fit: Fit,
         noise: NoiseModel,
         place: str,
         groups: Sequence[Group],
@@ -89,14 +89,15 @@ class Regression:
         *,
         input_sd: Mapping[str, float],
         recorded: Mapping[str, str],
-        linearised: Linearised | None = None,
+        linearised: Linearised,
         seed: int = 0,
     ) -> None:
-        model = criterion.model
+        criterion, x, model = fit.criterion, fit.x, fit.criterion.model
         require_place(criterion, place)
-        self.criterion, self.x, self.noise, self.place = criterion, x, noise, place
+        self.fit, self.criterion, self.x = fit, criterion, x
+        self.noise, self.input_sd, self.place = noise, input_sd, place
         self.groups, self.experiments, self.recorded = list(groups), experiments, recorded
-        self.linearised = linearised or Linearised(criterion, x)
+        self.linearised, self.seed = linearised, seed
         self.ny = len(criterion.outputs)
         sd = np.array([input_sd.get(n, 0.0) for n in model.inputs])
         self._late = not_felt_yet(model, place) if place in criterion.outputs else []
@@ -113,6 +114,22 @@ class Regression:
         edges = np.cumsum([0, *self._widths])
         self.slices = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
         self.size = np.sqrt(np.maximum(np.einsum("ij,ij->j", self.psi, self.psi), TINY))
+
+    def changed(
+        self, *, groups: Sequence[Group] | None = None, noise: NoiseModel | None = None
+    ) -> Regression:
+        """The same on other groups, or under another noise."""
+        return Regression(
+            self.fit,
+            noise or self.noise,
+            self.place,
+            groups or self.groups,
+            self.experiments,
+            input_sd=self.input_sd,
+            recorded=self.recorded,
+            linearised=self.linearised,
+            seed=self.seed,
+        )
 
     def _stack(self, motion: Motion) -> Array:
         """Whitened residual, tangent and signatures of one record, (N ny, 1 + n + K)."""
@@ -231,7 +248,6 @@ class Regression:
         chosen: Sequence[int] = (),
         *,
         draws: int = SCORES.function_draws,
-        seed: int = 0,
         charge: float = 0.0,
     ) -> list[Tested]:
         """Test every group, given that those `chosen` are in the model.
@@ -276,7 +292,7 @@ class Regression:
             SCORES.freedom_per_lag * len(per_sample) / (lags + 1), SCORES.least_function_freedom
         )
         slices = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-        p, adjusted = _family_wise(score, covariance, slices, freedom, draws, seed)
+        p, adjusted = _family_wise(score, covariance, slices, freedom, draws, self.seed)
         return [
             Tested(
                 group=i,

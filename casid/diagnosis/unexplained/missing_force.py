@@ -9,9 +9,8 @@ What the model's own parameters can absorb is in neither: a force is found up to
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -166,23 +165,21 @@ def missing_force(
     )
     line = over_time.spectrum.line if over_time is not None else None
     groups, knots = candidate_groups(fit, joined, balance, line)
-    under = partial(
-        Regression,
-        criterion,
-        x,
-        place=balance,
-        groups=groups,
-        experiments=experiments,
+    regression = Regression(
+        fit,
+        noise,
+        balance,
+        groups,
+        experiments,
         input_sd=at.input_sd,
         recorded=recorded,
         linearised=linearised,
         seed=seed,
     )
-    regression = under(noise=noise)
-    terms = _select_terms(regression, lambda: under(noise=at.full), alpha=alpha, seed=seed)
+    terms = _select_terms(regression, at.full, alpha=alpha)
     chosen = terms.chosen
     total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
-    dependences = _describe(regression, terms, joined, knots, total, at, seed)
+    dependences = _describe(regression, terms, joined, knots, total)
     units = units_of(criterion.model, recorded)
     own = {v for g in groups for v in g.names}
     model = criterion.model
@@ -218,15 +215,11 @@ class _Terms:
 
 def _select_terms(
     regression: Regression,
-    disturbed: Callable[[], Regression],
+    full: NoiseModel,
     *,
     alpha: float,
-    seed: int,
 ) -> _Terms:
-    """Forward selection at level `alpha`.
-
-    `disturbed` gives the regression under the noise with what may be a disturbance.
-    """
+    """Forward selection at level `alpha`; `full` is the noise with what may be a disturbance."""
     groups = regression.groups
     charge = float(np.log(len(regression.e)))
     loud: Regression | None = None
@@ -234,7 +227,7 @@ def _select_terms(
     rivals: list[tuple[tuple[str, ...], ...]] = []
     dependent: set[str] = set()
     for _ in range(TERMS.most):
-        found = regression.test([t.group for t in chosen], seed=seed, charge=charge)
+        found = regression.test([t.group for t in chosen], charge=charge)
         if not found:
             break
         # A term that explains little of what is missing is a shape's imperfection, not a cause.
@@ -245,8 +238,8 @@ def _select_terms(
             break
         # Under the sensors' noise alone a disturbance is coloured, and a few of its swings decide:
         # a term must be significant where what may be a disturbance counts as noise, too.
-        loud = loud or disturbed()
-        again = {t.group: t for t in loud.test([t.group for t in chosen], seed=seed)}
+        loud = loud or regression.changed(noise=full)
+        again = {t.group: t for t in loud.test([t.group for t in chosen])}
         if best.group not in again or again[best.group].adjusted >= alpha:
             break
         chosen.append(best)
@@ -360,8 +353,6 @@ def _describe(
     joined: Table,
     knots: Mapping[tuple[str, ...], Array],
     total: float,
-    at: Weighted,
-    seed: int,
 ) -> tuple[Dependence, ...]:
     chosen = terms.chosen
     if not chosen:
@@ -379,7 +370,7 @@ def _describe(
             names = ()
         if names:
             others = [regression.groups[o.group] for o in chosen if o is not t]
-            parity, power, size = _shape(regression, group, others, joined, at, seed)
+            parity, power, size = _shape(regression, group, others, joined)
         growth = GROWTH[power] if power is not None else ""
         if group.names and group.names[-1] == TIME:
             growth = _in_time(knots[group.names], coefficients[part])
@@ -421,8 +412,6 @@ def _shape(
     group: Group,
     others: Sequence[Group],
     joined: Table,
-    at: Weighted,
-    seed: int,
 ) -> tuple[str, float | None, float]:
     """Parity, power and coefficient of the function that fits best, the other terms given.
 
@@ -454,20 +443,9 @@ def _shape(
         return Group(group.names, made)
 
     candidates = [column(*s) for s in shapes]
-    again = Regression(
-        regression.criterion,
-        regression.x,
-        regression.noise,
-        regression.place,
-        [*candidates, group, *others],
-        regression.experiments,
-        input_sd=at.input_sd,
-        recorded=regression.recorded,
-        linearised=regression.linearised,
-        seed=seed,
-    )
+    again = regression.changed(groups=[*candidates, group, *others])
     given = list(range(len(candidates) + 1, len(again.groups)))
-    gains = {t.group: t.gain for t in again.test(given, draws=SCORES.few_draws, seed=seed)}
+    gains = {t.group: t.gain for t in again.test(given, draws=SCORES.few_draws)}
     if not any(i in gains for i in range(len(candidates))):
         return "", None, 0.0
     best = max((i for i in gains if i < len(candidates)), key=lambda i: gains[i])
