@@ -150,7 +150,7 @@ class _Variables:
             _Row(
                 nx + i,
                 f"der({self._state_name(s)})",
-                _per_second(plain.model.states[s].unit),
+                unit_quotient(plain.model.states[s].unit, "s"),
                 "local",
                 "continuous",
                 derivative=i + 1,
@@ -276,7 +276,3 @@ def _write_variable(variables: ElementTree.Element, row: _Row) -> None:
     ElementTree.SubElement(
         ElementTree.SubElement(variables, "ScalarVariable", given), "Real", value
     )
-
-
-def _per_second(unit: str) -> str:
-    return unit_quotient(unit, "s")

@@ -74,7 +74,7 @@ class Supervised:
         value, error = pickle.loads(answer)
         if isinstance(error, MemoryError):
             self.end()  # what it holds is in pieces
-            raise StoppedError(_over_memory(self.memory))
+            raise StoppedError(f"it needed more memory than its budget of {self.memory:g} MB")
         if error is not None:
             raise error
         return value
@@ -145,10 +145,6 @@ _KILLED = "its process was killed from outside, as systems do that run out of me
 def over_time(seconds: float) -> str:
     """Why a task was stopped."""
     return f"it took more than its budget of {seconds:g} s"
-
-
-def _over_memory(megabytes: float) -> str:
-    return f"it needed more memory than its budget of {megabytes:g} MB"
 
 
 def _send(stream: IO[bytes], content: bytes) -> None:

@@ -56,7 +56,7 @@ def decimal_mark(found: Evidence, *, default: Mark | None) -> Mark | None:
 
     A mark that separates thousands somewhere is no decimal mark anywhere.
     """
-    marks = set(found.decimal) | {_other(m) for m in found.thousands}
+    marks = set(found.decimal) | {("," if m == "." else ".") for m in found.thousands}
     if len(marks) > 1:
         return None
     if marks:
@@ -87,7 +87,3 @@ def plain_number(cell: str, decimal: str) -> str | None:
         return None
     bare = cell.replace(thousands, "").translate(_SPACES).replace(",", ".")
     return bare if NUMBER.fullmatch(bare) else None
-
-
-def _other(mark: str) -> str:
-    return "," if mark == "." else "."

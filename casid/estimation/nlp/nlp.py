@@ -12,7 +12,7 @@ record, say. ``Nlp.compile`` builds such a program once, to be solved for many r
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -51,6 +51,21 @@ def _require_objective(program: str, objective: Any) -> None:
         )
 
 
+class _Variable(NamedTuple):
+    symbol: Any  # in physical units
+    start: float
+    lower: float
+    upper: float
+    scale: float
+
+
+class _Constraint(NamedTuple):
+    label: str
+    expression: Any  # scalar
+    lower: float
+    upper: float
+
+
 class Nlp:
     """A nonlinear program under construction: variables, one objective, constraints.
 
@@ -67,14 +82,9 @@ class Nlp:
 
     def __init__(self, name: str = "nlp") -> None:
         self.name = name
-        self._symbols: list[Any] = []
-        self._names: list[str] = []
-        self._start: list[float] = []
-        self._lower: list[float] = []
-        self._upper: list[float] = []
-        self._scale: list[float] = []
+        self._variables: dict[str, _Variable] = {}
         self._parameters: dict[str, Any] = {}
-        self._constraints: list[tuple[str, Any, float, float]] = []  # one scalar each
+        self._constraints: list[_Constraint] = []
         self._objective: Any = None
 
     def variable(
@@ -95,7 +105,7 @@ class Nlp:
         SolveError
             If the bounds cross, or the start lies outside them.
         """
-        if name in self._names or name in self._parameters:
+        if name in self._variables or name in self._parameters:
             raise SolveError(f"{self.name}: variable {name!r} declared twice; give it another name")
         if lower > upper:
             raise SolveError(
@@ -110,19 +120,19 @@ class Nlp:
                 f"{self.name}: start {name} = {start:g} lies outside its bounds "
                 f"[{lower:g}, {upper:g}]; move the start inside or widen the bounds"
             )
-        symbol = ca.MX.sym(name)
-        self._symbols.append(symbol)
-        self._names.append(name)
-        self._start.append(float(start))
-        self._lower.append(float(lower))
-        self._upper.append(float(upper))
-        self._scale.append(abs(float(scale)) if scale else (abs(float(start)) or 1.0))
-        return symbol
+        size = abs(float(scale or start)) or 1.0
+        added = _Variable(ca.MX.sym(name), float(start), float(lower), float(upper), size)
+        self._variables[name] = added
+        return added.symbol
+
+    @property
+    def _symbols(self) -> list[Any]:
+        return [v.symbol for v in self._variables.values()]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the variables in order."""
-        return tuple(self._names)
+        return tuple(self._variables)
 
     def parameter(self, name: str, rows: int = 1, columns: int = 1) -> Any:
         """Declare numbers that are given when the program is solved; returns their CasADi symbol.
@@ -137,7 +147,7 @@ class Nlp:
         SolveError
             If the name is taken.
         """
-        if name in self._names or name in self._parameters:
+        if name in self._variables or name in self._parameters:
             raise SolveError(
                 f"{self.name}: parameter {name!r} declared twice; give it another name"
             )
@@ -157,12 +167,14 @@ class Nlp:
     @property
     def start(self) -> Array:
         """The declared starts (n,)."""
-        return np.array(self._start)
+        return np.array([v.start for v in self._variables.values()])
 
     @property
     def limits(self) -> tuple[Array, Array, Array]:
         """Lower and upper bounds and scales of the variables, each (n,)."""
-        return np.array(self._lower), np.array(self._upper), np.array(self._scale)
+        rows = [(v.lower, v.upper, v.scale) for v in self._variables.values()]
+        lower, upper, scale = np.array(rows).reshape(-1, 3).T
+        return lower, upper, scale
 
     @property
     def objective(self) -> Any:
@@ -234,7 +246,8 @@ class Nlp:
         def require(left: Any, floor: Any, ceiling: Any) -> None:
             floor, ceiling = np.broadcast_to(floor, rows), np.broadcast_to(ceiling, rows)
             for i, label in enumerate(names):
-                self._constraints.append((label, left[i], float(floor[i]), float(ceiling[i])))
+                ends = float(floor[i]), float(ceiling[i])
+                self._constraints.append(_Constraint(label, left[i], *ends))
 
         if isinstance(low, ca.MX) and (is_equality or ca.is_equal(low, limits[1], 1)):
             require(expression - low, 0.0, 0.0)
@@ -287,17 +300,17 @@ class Nlp:
             names=self.names,
             parameters=self.parameters,
             function=self._function(),
-            start=tuple(self._start),
-            bounds=tuple(zip(self._lower, self._upper, strict=True)),
-            scale=tuple(self._scale),
-            constraints=tuple(c[0] for c in self._constraints),
-            limits=tuple((c[2], c[3]) for c in self._constraints),
+            start=tuple(v.start for v in self._variables.values()),
+            bounds=tuple((v.lower, v.upper) for v in self._variables.values()),
+            scale=tuple(v.scale for v in self._variables.values()),
+            constraints=tuple(c.label for c in self._constraints),
+            limits=tuple((c.lower, c.upper) for c in self._constraints),
         )
         return Compiled(statement, as_solver(solver))
 
     def _function(self) -> Any:
         """(x, p) -> objective and constraints; refuses symbols that were not declared."""
-        own = ca.vertcat(*[c[1] for c in self._constraints]) if self._constraints else ca.MX(0, 1)
+        own = _column([c.expression for c in self._constraints])
         arguments: list[Any] = [*self._symbols, *self._parameters.values()]
         try:
             results: list[Any] = [self._objective, own]
@@ -325,14 +338,14 @@ class Nlp:
     def _require_complete(self) -> None:
         if self._objective is None:
             raise SolveError(f"{self.name}: no objective; call minimize first")
-        if not self._symbols:
+        if not self._variables:
             raise SolveError(
                 f"{self.name}: no variables; declare at least one, a = nlp.variable('a', 1.0)"
             )
 
     def _given(self, parameters: Mapping[str, Any] | None) -> tuple[Any, list[Any]]:
         """Objective and constraints with the parameters' values put in."""
-        expressions = [c[1] for c in self._constraints]
+        expressions = [c.expression for c in self._constraints]
         if not self._parameters and not parameters:
             return self._objective, expressions
         flat = np.empty(sum(symbol.numel() for symbol in self._parameters.values()))
@@ -378,8 +391,8 @@ class Nlp:
         x0 = inside(self.name, self.names, x0, lower, upper, scale)
         objective, expressions = self._given(parameters)
         x = ca.vertcat(*self._symbols)
-        own = ca.vertcat(*expressions) if expressions else ca.MX(0, 1)
-        limits = np.array([c[2:] for c in self._constraints]).reshape(-1, 2)
+        own = _column(expressions)
+        limits = np.array([(c.lower, c.upper) for c in self._constraints]).reshape(-1, 2)
         program: SymbolicProgram | CriterionProgram
         if self.has_criterion:
             natural_from = x0 if natural_scales else None
@@ -394,6 +407,11 @@ class Nlp:
 
     def __repr__(self) -> str:
         return (
-            f"<Nlp {self.name}: {count_text(len(self._names), 'variable')}, "
+            f"<Nlp {self.name}: {count_text(len(self._variables), 'variable')}, "
             f"{count_text(len(self._constraints), 'constraint')}>"
         )
+
+
+def _column(expressions: Sequence[Any]) -> Any:
+    """Scalar expressions as a column (m, 1), of no row without any."""
+    return ca.vertcat(*expressions) if expressions else ca.MX(0, 1)

@@ -74,7 +74,7 @@ def profile(matrix: Any, *, seed: int = 0, find_idle: bool = False) -> Profile:
     rng = np.random.default_rng(seed)
     found: list[Profile] = []
     for _ in range(POINTS):
-        arithmetic = _arithmetic(entries, rng)
+        arithmetic = _Prime(entries, rng) if entries.is_rational else _Digits(entries, rng)
         values, numbers = _at_some_point(entries, arithmetic)
         reduced, pivots = arithmetic.echelon(numbers)
         rows = arithmetic.echelon(numbers.T)[1]
@@ -245,10 +245,6 @@ def _mpmath() -> Any:
     import mpmath
 
     return mpmath
-
-
-def _arithmetic(entries: _Entries, rng: np.random.Generator) -> _Arithmetic:
-    return _Prime(entries, rng) if entries.is_rational else _Digits(entries, rng)
 
 
 def _at_some_point(entries: _Entries, arithmetic: _Arithmetic) -> tuple[dict[Any, Any], Array]:

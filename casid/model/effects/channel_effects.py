@@ -209,11 +209,6 @@ def is_moved(model: Model, channel: str) -> bool:
     return any(s.kind in kinds and s.channel == channel for s in model.stages)
 
 
-def _has_lines(model: Model, channel: str) -> bool:
-    """True if an input is a line in each sample, whatever it was declared."""
-    return Stage.line_of(channel)[0] in model.inputs
-
-
 def _carriers(model: Model, channel: str) -> list[str]:
     """Inputs that carry the tangents of what is done to an input's column."""
     mine = [s for s in model.stages if s.is_of_input and s.channel == channel]
@@ -467,7 +462,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         ]
     for channel, entry in model.inputs.items():
         if entry.kind in ("measured", "known") and not entry.blends:
-            lines = _has_lines(model, channel)
+            lines = Stage.line_of(channel)[0] in model.inputs
             others = [h for h in HOLDS if h != entry.hold and not (lines and h == "bandlimited")]
             effects += [hold(model, channel, other) for other in others]
     return [*effects, *_holds_of_all(model)]

@@ -17,11 +17,11 @@ def assessment_document(assessment: Assessment) -> Document:
     sections: tuple[tuple[str, Sequence[str]], ...] = (
         ("parameters", _verdicts(a.parameters, a)),
         ("states", _states(a.states)),
-        ("confounded", _groups(a)),
-        ("equivalent", _families(a)),
+        ("confounded", [group_words(g) for g in a.confounded_groups]),
+        ("equivalent", [line for _, lines in family_lines(a) for line in lines]),
         ("remedies", _remedies(a)),
         ("unknown", _classes(a)),
-        ("inputs", [f"with {line}" for line in _excitations(a)]),
+        ("inputs", [f"with {_answer(k, v)}" for k, v in a.by_excitation.items()]),
         ("records", [line for e in a.excitations for line in str(e).splitlines()]),
         ("expected", str(a.practical).splitlines() if a.practical else []),
         ("profiles", str(a.profiles).splitlines() if a.profiles else []),
@@ -71,19 +71,11 @@ def _states(states: Mapping[str, str]) -> list[str]:
     return [f"{word}: {shortened(names)}" for word, names in by_word.items()]
 
 
-def _groups(a: Assessment) -> list[str]:
-    return [group_words(g) for g in a.confounded_groups]
-
-
 def group_words(group: Sequence[str]) -> str:
     """What a confounded group means."""
     if len(group) == 1:
         return f"{group[0]} can have any value, whatever the other parameters are"
     return f"{', '.join(group)} can be traded for each other"
-
-
-def _families(a: Assessment) -> list[str]:
-    return [line for _, lines in family_lines(a) for line in lines]
 
 
 def family_lines(a: Assessment) -> list[tuple[str, list[str]]]:
@@ -137,10 +129,6 @@ def _classes(a: Assessment) -> list[str]:
     lines = [f"inputs {', '.join(a.unknown_inputs)}"]
     lines += [_answer(k, v) for k, v in a.by_class.items()]
     return lines + list(a.eliminated)
-
-
-def _excitations(a: Assessment) -> list[str]:
-    return [_answer(k, v) for k, v in a.by_excitation.items()]
 
 
 def _answer(label: str, answer: Answer) -> str:
