@@ -171,7 +171,7 @@ def setting_of(drive: Drive) -> Setting:
     start = {"k": records.K, "d": records.D, "I_x": records.I_X}
     weights = np.array([1 / records.NOISE])
     plain = SimulationError(model, [experiment], weights=weights, start=start)
-    there = minimize_simulation_error(plain, check_rank=False, throw=False)
+    there = minimize_simulation_error(plain, check_rank=False)
     x = there.x.copy()
     x[: len(start)] = [start[n] for n in plain.names[: len(start)]]
     responses = [noise_response(plain, x, 0)]
@@ -224,7 +224,7 @@ class Duel:
         for r in self.refits:
             r.data[0] = replace(signals_of(r.model, record_of(channels)), used=r.data[0].used)
             r._last.clear()  # what was simulated of the record before
-            fit = minimize_simulation_error(r, check_rank=False, throw=False)
+            fit = minimize_simulation_error(r, check_rank=False)
             left.append(self.setting.weighing.compensated_criterion(self.setting.at, r, fit.x))
         return 2 * (left[1] - left[0])
 

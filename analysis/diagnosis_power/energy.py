@@ -104,7 +104,7 @@ def fit_with_true_noise(
             substeps=criterion.substeps,
             start=fit.values,
         )
-        fit = minimize_simulation_error(white, check_rank=False, throw=False)
+        fit = minimize_simulation_error(white, check_rank=False)
     return fit
 
 

@@ -124,7 +124,7 @@ def weighted_by_spectrum(fit: Fit) -> SpectralWeights | str:
     at_fit = _covariance(weighted.evaluate(fit.x).hessian, free)
     if np.max(plain_errors / np.sqrt(np.maximum(np.diag(at_fit)[mine], TINY))) < GAIN:
         return ""
-    found = minimize_simulation_error(weighted, solver=_NEAR, check_rank=False, throw=False)
+    found = minimize_simulation_error(weighted, solver=_NEAR, check_rank=False)
     if not found.solution.is_converged or not np.array_equal(found.solution.is_free, free):
         return ""
     result = SpectralWeights(found, models, *_of_spectrum(criterion, models, found))

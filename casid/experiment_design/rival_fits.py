@@ -77,7 +77,7 @@ def fitted_to(
             start=start,
         )
         fit = minimize_simulation_error(
-            criterion, solver=Solver("ipopt", 60), check_rank=False, throw=False, retry="none"
+            criterion, solver=Solver("ipopt", 60), check_rank=False, retry="none"
         )
         found = {n: v for n, v in fit.values.items() if n in rival.free}
         held = [n for n in found if n in fit.solution.active]

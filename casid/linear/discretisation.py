@@ -184,7 +184,7 @@ def _substituted(
     transfer: TransferMatrix, Ts: float, method: str
 ) -> tuple[Expr, tuple[tuple[Expr, ...], ...]]:
     if method == "forward":
-        _require_proper(transfer, "forward Euler", "bilinear or backward")
+        _require_proper(transfer, "forward Euler")
     longest = [b.numel() for row in transfer.numerators for b in row]
     n = max([transfer.denominator.numel(), *longest]) - 1
     K = matrix_of(substitution(n, Fraction(repr(float(Ts))), method))
@@ -205,7 +205,7 @@ def _held(
     transfer: TransferMatrix, Ts: float, method: str
 ) -> tuple[Expr, tuple[tuple[Expr, ...], ...]]:
     """Every transfer function realised on one companion matrix, states in units of Ts^k."""
-    _require_proper(transfer, f"an exact hold ({method})", "bilinear or backward")
+    _require_proper(transfer, f"an exact hold ({method})")
     n, nu = transfer.order, len(transfer.inputs)
     flat = [b[b.numel() - 1 - n :] for row in transfer.numerators for b in row]
     a = transfer.denominator
@@ -235,12 +235,12 @@ def _held(
     return denominator, tuple(tuple(columns[i * nu : (i + 1) * nu]) for i in range(ny))
 
 
-def _require_proper(transfer: TransferMatrix, what: str, others: str) -> None:
+def _require_proper(transfer: TransferMatrix, what: str) -> None:
     if not transfer.is_proper:
         raise ModelError(
             f"{transfer.name}: a transfer function to {', '.join(transfer.outputs)} is improper "
-            f"(it differentiates its input), which {what} cannot discretise; use {others}, or take "
-            "the derivative of that input as the input"
+            f"(it differentiates its input), which {what} cannot discretise; use bilinear or "
+            "backward, or take the derivative of that input as the input"
         )
 
 

@@ -159,7 +159,7 @@ class NullRecords:
             criterion = SimulationError(model.with_known(**known), [e], **settings)
             point = criterion.start
             if len(point):
-                point = minimize_simulation_error(criterion, check_rank=False, throw=False).x
+                point = minimize_simulation_error(criterion, check_rank=False).x
             wide = SimulationError(
                 disturbed.with_known(**known),
                 [_at_rest(e, added)],

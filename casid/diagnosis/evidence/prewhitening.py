@@ -368,7 +368,6 @@ class Weighing:
             criterion,
             solver=self.solver or NEAR,
             check_rank=False,
-            throw=False,
             retry="unsuccessful",
         )
 

@@ -274,7 +274,9 @@ def few_step_fit(model: Model, experiments: Sequence[Experiment]) -> Fit:
     """A baseline for the report where nothing can be estimated: a few steps from the start."""
     criterion = SimulationError(model, experiments)
     return minimize_simulation_error(
-        criterion, solver=Solver(max_iterations=3), check_rank=False, throw=False
+        criterion,
+        solver=Solver(max_iterations=3),
+        check_rank=False,
     )
 
 

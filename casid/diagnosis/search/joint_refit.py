@@ -184,7 +184,6 @@ class Refitting:
                 self.weighing.solver or COMPARED, below=below, known=_known(criterion, best)
             ),
             check_rank=False,
-            throw=False,
             retry="none",
         )
         if best is not None and fit.solution.status == LEADS_TO_KNOWN:

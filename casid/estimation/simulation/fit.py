@@ -87,7 +87,6 @@ def fit_model(
                 seed=settings.seed,
                 constraints=settings.constraints,
                 check_rank=check_rank and fit is None,
-                throw=False,
             )
             if fit.not_done or not (is_free and _steps_are_too_long(criterion, fit)):
                 break
@@ -154,7 +153,6 @@ def _better_start(criterion: SimulationError, near: Fit, settings: FitSettings) 
                 seed=settings.seed,
                 constraints=settings.constraints,
                 check_rank=False,
-                throw=False,
                 retry="none",
             )
             if np.isfinite(fit.solution.value):
@@ -171,19 +169,19 @@ def _resolved(c: SimulationError, start: Mapping[str, float] | None) -> Simulati
     Too long a step makes another model of it, whose optimum may lie far away.
     """
     while _steps_matter(c, c.start, STEPS.at_start):
-        c = _from(c, start, finer=2)
+        c = _finer(c, start)
     return c
 
 
-def _from(c: SimulationError, start: Mapping[str, float] | None, *, finer: int) -> SimulationError:
-    """The criterion from a start, with its steps divided."""
+def _finer(c: SimulationError, start: Mapping[str, float] | None) -> SimulationError:
+    """The criterion from a start, with half the step."""
     return SimulationError(
         c.model,
         c.experiments,
         own=c.own,
         weights=c.weights,
         segments=c.segments,
-        substeps=finer * c.substeps,
+        substeps=2 * c.substeps,
         start=start,
     )
 
@@ -192,8 +190,8 @@ def _refined(
     c: SimulationError, start: Mapping[str, float] | None, fit: Fit | None
 ) -> SimulationError:
     """The criterion with half the step, from where it is lower: the start, or the last fit."""
-    at_start = _from(c, start, finer=2)
-    near = at_start if fit is None else _from(c, fit.values, finer=2)
+    at_start = _finer(c, start)
+    near = at_start if fit is None else _finer(c, fit.values)
     return at_start if value_at_start(at_start) < value_at_start(near) else near
 
 
@@ -285,7 +283,7 @@ def resolved_under(criterion: SimulationError, x: Array, whiten: Whitener) -> Si
     """
     start = dict(zip(criterion.names, x.tolist(), strict=True))
     while _steps_matter(criterion, x, STEPS.at_end, whiten):
-        criterion = _from(criterion, start, finer=2)
+        criterion = _finer(criterion, start)
     return criterion
 
 
@@ -295,7 +293,7 @@ def _steps_matter(
     """True if halving the step moves the simulation by over a share of the residual."""
     if c.substeps >= STEPS.most:
         return False
-    fine = _from(c, None, finer=2)
+    fine = _finer(c, None)
     moved, left = 0.0, 0.0
     with np.errstate(all="ignore"):
         for e, d in enumerate(c.data):

@@ -72,5 +72,5 @@ def fit_initial_state(
         criterion.data[0] = replace(d, u=np.where(of_clock, 0.0, d.u))
     point = criterion.start
     if len(point):
-        point = minimize_simulation_error(criterion, check_rank=False, throw=False).x
+        point = minimize_simulation_error(criterion, check_rank=False).x
     return criterion, point

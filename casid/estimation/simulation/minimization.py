@@ -97,7 +97,6 @@ def minimize_simulation_error(
     seed: int = 0,
     constraints: Sequence[Constraint] = (),
     check_rank: bool = True,
-    throw: bool = True,
     retry: Retry = "unconverged",
 ) -> Fit:
     """Minimise (1), from the declared start and `starts - 1` random ones; the best is kept.
@@ -114,7 +113,11 @@ def minimize_simulation_error(
     IdentifiabilityError
         Before the solver starts, where a direction is not identifiable.
     SolveError
-        If no start leads to an optimum; `OutOfTimeError`, with the best `Fit`, for want of time.
+        If no start leads to where the criterion is finite; `OutOfTimeError` for want of time.
+
+    Notes
+    -----
+    The end of a search may be no minimum: `require_minimum` refuses that.
     """
     require_time(f"the fit of {criterion.model.name}")
     nlp = _stated(criterion, constraints)
@@ -140,10 +143,7 @@ def minimize_simulation_error(
     if not solutions:
         require_time(f"the fit of {criterion.model.name}")
         raise SolveError(failures[0])
-    fit = _kept(criterion, solutions, len(solutions) + len(failures), max(starts, 1))
-    if throw:
-        require_minimum(fit)
-    return fit
+    return _kept(criterion, solutions, len(solutions) + len(failures), max(starts, 1))
 
 
 def _improved(

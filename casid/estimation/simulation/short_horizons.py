@@ -51,7 +51,6 @@ def fit_of_short_horizons(
                 starts=starts if fit is None else 1,
                 seed=seed,
                 check_rank=False,
-                throw=False,
                 retry="none",
             )
         except OutOfTimeError:

@@ -16,7 +16,6 @@ from casid.model.declarations import Hold, Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import (
     Effect,
-    Sided,
     Sizes,
     Spread,
     is_one_sided,
@@ -137,19 +136,19 @@ def cubic_stiffness(model: Model, where: str | Place, about: float = 0.0) -> Eff
     `about` is q_0 in the position's SI unit: zero, or the middle of a motion that stays away from
     zero, where a cube about zero would be a line and a parabola.
     """
-    return _restoring(model, where, "cubic_stiffness", 3, about, "both")
+    return _restoring(model, where, "cubic_stiffness", 3, about)
 
 
 def quadratic_stiffness(model: Model, where: str | Place, about: float = 0.0) -> Effect | None:
     """-k_2 (q - q_0)^2: a spring that is stiffer to one side; `about` as for `cubic_stiffness`."""
-    return _restoring(model, where, "quadratic_stiffness", 2, about, "both")
+    return _restoring(model, where, "quadratic_stiffness", 2, about)
 
 
 _DEGREES = {2: "square", 3: "cube"}
 
 
 def _restoring(
-    model: Model, where: str | Place, kind: str, power: int, about: float, sided: Sided
+    model: Model, where: str | Place, kind: str, power: int, about: float
 ) -> Effect | None:
     place = place_named(model, where)
     if place.position is None:
@@ -161,7 +160,7 @@ def _restoring(
     level = "its mean" if about else ""
     words = _law_words(place, _DEGREES[power], place.position_name, level)
     return force_along(
-        place, kind, p, lambda k: -k * q**power, sided=sided, constants=constants, description=words
+        place, kind, p, lambda k: -k * q**power, constants=constants, description=words
     )
 
 

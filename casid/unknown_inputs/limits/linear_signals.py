@@ -93,7 +93,7 @@ class LinearSignals:
                 )
         start = cls(
             MappingProxyType(checked),
-            None if Ts is None else _sample_time(Ts, "Ts"),
+            None if Ts is None else _sample_time(Ts),
             MappingProxyType(kurtosis),
         )
         return start.with_signals(signals)
@@ -359,9 +359,9 @@ def _variance(name: str, value: Any) -> Any:
     return number
 
 
-def _sample_time(Ts: Any, where: str) -> float:
+def _sample_time(Ts: Any) -> float:
     if not (np.isfinite(Ts) and Ts > 0):
-        raise ModelError(f"{where} = {Ts!r}; give a sample time above 0 s")
+        raise ModelError(f"Ts = {Ts!r}; give a sample time above 0 s")
     return float(Ts)
 
 

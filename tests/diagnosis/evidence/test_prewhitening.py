@@ -62,7 +62,7 @@ def test_what_a_bound_holds_under_a_large_force_is_fitted_under_that_force_from_
     experiment = casid.Experiment(record(1), {}, "r")
     model = drive()
     criterion = SimulationError(model, [experiment], substeps=4)
-    fit = minimize_simulation_error(criterion, throw=False)
+    fit = minimize_simulation_error(criterion)
     x = fit.x.copy()
     x[fit.criterion.names.index("K")] = 1e5 * (1 - 1e-9)  # as near as a barrier lets it
     held = replace(fit, solution=replace(fit.solution, x=x))

@@ -55,7 +55,7 @@ def record(seed: int, flows: tuple[float, float]) -> casid.Record:
 def under_disturbance(flows: tuple[float, float]) -> tuple[Weighted, list[casid.Experiment]]:
     experiments = [casid.Experiment(record(3, flows), {}, "r")]
     criterion = SimulationError(vessel(), experiments)
-    fit = minimize_simulation_error(criterion, throw=False)
+    fit = minimize_simulation_error(criterion)
     return Weighing(experiments).with_disturbances().weigh(fit.criterion.model, fit), experiments
 
 
@@ -89,7 +89,7 @@ def test_noise_of_an_input_that_is_multiplied_is_no_force_that_comes_and_goes():
     for seed in range(3):
         experiments = [casid.Experiment(ventilated_room.record(seed), {}, "r")]
         criterion = SimulationError(ventilated_room.model(), experiments)
-        fit = minimize_simulation_error(criterion, throw=False)
+        fit = minimize_simulation_error(criterion)
         weighing = Weighing(experiments).with_disturbances()
         at = weighing.weigh(fit.criterion.model, fit)
         assert at.noise.varying

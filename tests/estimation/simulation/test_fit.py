@@ -90,7 +90,7 @@ def test_no_point_of_a_search_is_simulated_twice(monkeypatch):
     criterion = SimulationError(decay(), [casid.Experiment(record, {}, "r")])
     # A tolerance that rounding forbids: what did not converge is compared with where it began.
     solver = Solver(options={"ipopt.tol": 1e-15, "ipopt.acceptable_iter": 0}, max_iterations=4)
-    fit = minimize_simulation_error(criterion, solver=solver, throw=False, retry="none")
+    fit = minimize_simulation_error(criterion, solver=solver, retry="none")
     criterion.evaluate(fit.x)
     assert len(points) > 2
     assert len(points) == len(set(points))
