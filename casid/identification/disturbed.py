@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from shlex import quote
 
 import casadi as ca
 import numpy as np
 
-from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.covariance import LAGS_OUTSIDE, sandwich, whiteness
@@ -19,12 +18,7 @@ from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.fitted.from_fit import channels_of
 from casid.estimation.holdout import Split
-from casid.estimation.intervals.choice import (
-    Estimation,
-    chosen_intervals,
-    patience_since,
-    with_intervals,
-)
+from casid.estimation.intervals.choice import Estimation, by_mask, undetermined_in
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.nlp.solver import as_solver
 from casid.estimation.noise.noise_response import places_of_forces
@@ -112,9 +106,7 @@ def _completed(task: Task, found: Disturbed) -> Estimate:
     estimate, undone = prediction.estimate, task.undone
     if prediction.solution.is_converged:
         estimation = _estimation(problem, prediction, task.settings)
-        patience = patience_since(task.began, task.budget)
-        chosen = chosen_intervals(estimation, task.intervals, undone, task.say, patience)
-        estimate = with_intervals(estimate, chosen)
+        estimate = task.with_intervals(estimate, estimation)
         with no_time_limit():  # one pass over what is held out
             estimate = replace(estimate, held_out=_held_out(estimate, task.split))
     elif seconds_left() > 0.0:
@@ -190,20 +182,17 @@ def coloured_innovations(found: Prediction) -> list[str]:
 def _estimation(problem: Problem, found: Prediction, settings: FitSettings) -> Estimation:
     """The estimate as the search for its intervals takes it."""
     criterion, solution, estimate = found.criterion, found.solution, found.estimate
-    rows = (*estimate.parameters, *estimate.initial_states)
-    held = solution.active
-    undetermined = [p.name for p in rows if p.std_error is None and p.name not in held]
     scores = criterion.scores(solution.x)
     solver = as_solver(settings.solver)
     if solver.name == "ipopt":
         settings = replace(settings, solver=replace(solver, options={**PROFILED, **solver.options}))
 
-    @cache
-    def covariance(free: tuple[bool, ...]) -> Array:
-        return sandwich(solution.hessian, scores, np.array(free))[0]
-
     return Estimation(
-        found, lambda free: covariance(tuple(free.tolist())), settings, problem.noise, undetermined
+        found,
+        by_mask(lambda free: sandwich(solution.hessian, scores, free)[0]),
+        settings,
+        problem.noise,
+        undetermined_in(estimate, solution),
     )
 
 

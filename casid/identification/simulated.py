@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, partial
-
-import numpy as np
+from functools import partial
 
 from casid.arrays import Array
-from casid.data.problem import Problem
 from casid.errors import IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.covariance import sandwich
 from casid.estimation.errors_in_variables.error_bars import covariance_under_colour, error_bars
@@ -20,12 +17,7 @@ from casid.estimation.errors_in_variables.removal import (
 )
 from casid.estimation.estimate import Estimate, Trust
 from casid.estimation.holdout import Split, record_views, validation, window_length
-from casid.estimation.intervals.choice import (
-    Estimation,
-    chosen_intervals,
-    patience_since,
-    with_intervals,
-)
+from casid.estimation.intervals.choice import Estimation, by_mask, undetermined_in
 from casid.estimation.simulation.fit import fit_model, weighted_by_errors
 from casid.estimation.simulation.input_feedback import feedback_notes
 from casid.estimation.simulation.minimization import Fit, require_minimum, whitened
@@ -68,15 +60,16 @@ def identify_simulated(task: Task, unstable: InWindows | None) -> Estimate:
         fit = undone.attempt("the weighing of outputs by their errors", by_errors) or fit
     in_sizes = undone.attempt("the sizes of noise that grows", partial(_in_sizes, task, fit))
     split, fit, grows = in_sizes or (task.split, fit, ())
+    task = replace(task, split=split)
     found, feedback = _unbiased(task, fit)
     with no_time_limit():  # a few passes over the record, without which there is no result
         notes = problem_notes(task.problem, split.fitted)
         notes += channel_notes(task.problem.model, task.split.whole)
         notes += [sized_noise_text(grows)] if grows else []
-        estimate = _estimate(task.problem, found, split, [*notes, *feedback])
-        estimate = replace(estimate, records=record_views(found.fit, None, split))
+        estimate = _estimate(task, found, [*notes, *feedback])
     if estimate.is_converged:
-        estimate = _with_intervals(task, found, estimate)
+        kind = "quick" if found.reference else None  # instruments have no criterion to profile
+        estimate = task.with_intervals(estimate, _estimation(task, found, estimate), kind)
     trust = Trust(
         approach(task.problem, found, task.settings.segments, feedback),
         suspects=() if suspect is None else (str(suspect),),
@@ -181,9 +174,9 @@ def _corrected(task: Task, fit: Fit) -> Corrected:
     return task.undone.attempt(what, partial(with_spectral_weights, found)) or found
 
 
-def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[str]) -> Estimate:
+def _estimate(task: Task, found: Corrected, notes: Sequence[str]) -> Estimate:
     """The estimate, with what became of the bias that noise on measured inputs gives."""
-    fit, method = found.fit, method_of(found.fit)
+    fit, split, method = found.fit, task.split, method_of(found.fit)
     if fit.criterion.segments > 1 and not split.is_empty:
         length = window_length(fit) * max(d.Ts for d in fit.criterion.data)
         method = f"{method}; held out in windows of {length:.2g} s"
@@ -196,29 +189,15 @@ def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[
     elif found.why_not and (found.noisy or found.bias is None):
         notes = [*notes, f"noise on measured inputs: {found.text}"]
     held_out, bars = validation(fit, split), error_bars(found)
-    return estimate_of(problem, fit, held_out, method=method, notes=notes, bars=bars)
-
-
-def _with_intervals(task: Task, found: Corrected, estimate: Estimate) -> Estimate:
-    """The estimate with the intervals that are requested; of instruments, normal ones."""
-    estimation = _estimation(task, found, estimate)
-    patience = patience_since(task.began, task.budget)
-    kind = "quick" if found.reference else task.intervals
-    return with_intervals(
-        estimate, chosen_intervals(estimation, kind, task.undone, task.say, patience)
-    )
+    estimate = estimate_of(task.problem, fit, held_out, method=method, notes=notes, bars=bars)
+    return replace(estimate, records=record_views(fit, None, split))
 
 
 def _estimation(task: Task, found: Corrected, estimate: Estimate) -> Estimation:
     """The estimate as the search for its intervals takes it."""
-    rows = (*estimate.parameters, *estimate.initial_states)
-    held = found.fit.solution.active
-    undetermined = [p.name for p in rows if p.std_error is None and p.name not in held]
 
-    @cache
-    def covariance(free: tuple[bool, ...]) -> Array:
+    def covariance(mask: Array) -> Array:
         """Covariance with these variables free: under the noise found, or by the sandwich."""
-        mask = np.array(free)
         if found.weights is not None:
             return found.weights.covariance(mask)
         if found.covariance is not None:
@@ -234,9 +213,9 @@ def _estimation(task: Task, found: Corrected, estimate: Estimate) -> Estimation:
         fit = whitened(fit, found.noise.whiten)
     return Estimation(
         fit,
-        lambda free: covariance(tuple(free.tolist())),
+        by_mask(covariance),
         replace(task.settings, segments=found.fit.criterion.segments),
         task.problem.noise,
-        undetermined,
+        undetermined_in(estimate, found.fit.solution),
         found,
     )

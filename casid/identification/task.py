@@ -6,7 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from casid.data.problem import Problem
+from casid.estimation.estimate import Estimate
 from casid.estimation.holdout import Split
+from casid.estimation.intervals.choice import (
+    Estimation,
+    chosen_intervals,
+    patience_since,
+    with_intervals,
+)
 from casid.estimation.simulation.fit import FitSettings
 from casid.time_limit import Undone, wall_clock
 
@@ -34,6 +41,15 @@ class Task:
     say: Callable[[str], None] = lambda _: None
     began: float = field(default_factory=wall_clock)
     undone: Undone = field(default_factory=Undone)
+
+    def with_intervals(
+        self, estimate: Estimate, estimation: Estimation, kind: str | None = None
+    ) -> Estimate:
+        """The estimate with intervals of a kind, that requested by default, as time allows."""
+        patience = patience_since(self.began, self.budget)
+        kind = kind or self.intervals
+        chosen = chosen_intervals(estimation, kind, self.undone, self.say, patience)
+        return with_intervals(estimate, chosen)
 
     @property
     def is_free(self) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from casid.estimation.intervals.scaled_criterion import (
     tilted,
 )
 from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS, PROFILE_SEARCH
+from casid.estimation.nlp.solution import Solution
 from casid.estimation.simulation.fit import FitSettings
 from casid.model.quantities import are, listed
 from casid.time_limit import Undone, until, wall_clock
@@ -127,6 +128,23 @@ class Estimation:
             and v.lower < v.upper
             and v.name not in self.undetermined
         ]
+
+
+def by_mask(covariance: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """A covariance for a mask (n,) of free unknowns, computed once for each mask."""
+
+    @cache
+    def known(free: tuple[bool, ...]) -> Array:
+        return covariance(np.array(free))
+
+    return lambda free: known(tuple(free.tolist()))
+
+
+def undetermined_in(estimate: Estimate, solution: Solution) -> list[str]:
+    """Unknowns of an estimate that have no standard error, although no bound holds them."""
+    rows = (*estimate.parameters, *estimate.initial_states)
+    held = solution.active
+    return [p.name for p in rows if p.std_error is None and p.name not in held]
 
 
 def require_intervals(intervals: str) -> None:

@@ -227,7 +227,7 @@ def test_profiles_that_nobody_requested_take_no_longer_than_the_estimate_twice(m
 
 def test_an_interval_that_patience_ends_is_normal_and_said_to_be_so(monkeypatch):
     """A skewed estimate without time for its profile; requested, it has one all the same."""
-    monkeypatch.setattr("casid.identification.simulated.patience_since", lambda *_: 0.0)
+    monkeypatch.setattr("casid.identification.task.patience_since", lambda *_: 0.0)
     found = identify(lag_problem(), step_response(4, sd=0.03))
     assert found.parameter("tau").interval_kind == "quick"
     assert found.not_done
