@@ -1,4 +1,4 @@
-"""The array types of annotations, rows between cuts, divisors next to zero, what JSON can hold."""
+"""The array types of annotations, rows between cuts, spreads, divisors, and what JSON can hold."""
 
 import math
 from collections.abc import Iterable
@@ -42,6 +42,14 @@ def scaled_inverse(matrix: Array) -> Array:
     d = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), TINY))
     units = np.outer(d, d)
     return np.asarray(units * np.linalg.pinv(matrix * units, rcond=1e-13))
+
+
+def robust_sd(errors: Array) -> float:
+    """Standard deviation of normal errors about zero by the median of their sizes, NaN left out.
+
+    A few large ones hardly move it (F. R. Hampel, J. Am. Stat. Assoc. 69 (1974) 383-393).
+    """
+    return 1.4826 * float(np.nanmedian(np.abs(errors)))
 
 
 def finite_or_none(value: float) -> float | None:

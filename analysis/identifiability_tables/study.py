@@ -29,7 +29,7 @@ from analysis.identifiability_tables import models
 from casid.algebra.prime_field import random_prime, to_field
 from casid.identifiability.combinations.fixing_sets import Exclusion, fixing_sets
 from casid.identifiability.equations.equation_file import read_equations
-from casid.identifiability.equations.model_system import systems_of
+from casid.identifiability.equations.model_system import translated
 from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import observability, rank_at
 from problems import ship
@@ -173,7 +173,7 @@ def nine_parameters() -> Iterator[Target]:
     records = models.ship_records(system)
     three = records["with calibration"]
     found = observability(three)
-    fitted = observability(systems_of(ship.nine_parameters(), ship.experiments()))
+    fitted = observability(translated(ship.nine_parameters(), ship.experiments()).systems)
     yield equal("(8.20), nine parameters, three records: rank of 15", found.rank, 14)
     yield equal("the same with the numbers of Table 8.2: rank of 15", fitted.rank, 14)
     direct = models.with_sought(models.ship_system(is_indirect=False, outputs=models.BOTH))

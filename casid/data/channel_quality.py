@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.arrays import TINY, BoolArray, FloatArray
+from casid.arrays import TINY, BoolArray, FloatArray, robust_sd
 from casid.data.findings import Finding
 from casid.data.held_signals import is_rounded
 from casid.data.missing_samples import is_as_placed, some_missing
@@ -392,7 +392,7 @@ def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
     padded = np.pad(x, 2, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
     off = np.abs(x - np.median(windows, axis=1))
-    bar = max(8 * 1.4826 * float(np.median(off)), 5 * float(np.quantile(off, 0.98)))
+    bar = max(8 * robust_sd(off), 5 * float(np.quantile(off, 0.98)))
     if bar == 0.0:
         bar = 0.5 * float(x.std())
     left, right = np.roll(off, 1), np.roll(off, -1)

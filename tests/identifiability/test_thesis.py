@@ -39,7 +39,7 @@ from analysis.identifiability_tables.models import (
 from casid.algebra.prime_field import matmul, random_prime, to_field
 from casid.algebra.symbolic import evaluate_exactly
 from casid.identifiability.combinations.fixing_sets import fixing_sets
-from casid.identifiability.equations.model_system import systems_of
+from casid.identifiability.equations.model_system import translated
 from casid.identifiability.rank.observability import observability, rank_at
 from problems import pendulum, ship
 from problems.ship import NINE
@@ -177,7 +177,7 @@ def test_no_nine_parameters_are_told_by_three_records_of_the_indirect_model():
 def test_the_nine_parameters_as_they_are_fitted_have_rank_14_of_15():
     """By generic numbers, and with the very numbers of Table 8.2, where zbar_g = 0."""
     records = ship_records(sought(is_indirect=True))["with calibration"]
-    fitted = systems_of(ship.nine_parameters(), ship.experiments(duration=1.0))
+    fitted = translated(ship.nine_parameters(), ship.experiments(duration=1.0)).systems
     for systems in (records, fitted):
         found = observability(systems)
         assert (found.rank, found.unknowns, found.deficiency) == (14, 15, 1)
@@ -187,7 +187,7 @@ def test_the_nine_parameters_as_they_are_fitted_have_rank_14_of_15():
 
 
 def test_eight_parameters_with_z_f_known_are_told_by_the_problem_as_it_stands():
-    assert observability(systems_of(ship.problem, ship.experiments(duration=1.0))).is_full
+    assert observability(translated(ship.problem, ship.experiments(duration=1.0)).systems).is_full
 
 
 @pytest.mark.parametrize("name", NINE)
@@ -210,7 +210,7 @@ def test_a_second_calibration_helps_at_another_height_only():
         assert observability([nominal(system), first, second, system]).rank == rank
     fitted = ship.two_calibrations()
     cases = ("nominal", "calibration", "second calibration", "loaded")
-    assert observability(systems_of(fitted, ship.experiments(cases, duration=1.0))).is_full
+    assert observability(translated(fitted, ship.experiments(cases, duration=1.0)).systems).is_full
 
 
 def test_the_family_of_the_nine_parameters_leaves_all_three_records_as_they_are():

@@ -77,7 +77,7 @@ def test_on_a_circle_the_lateral_acceleration_is_speed_times_yaw_rate():
 
 
 def test_every_derived_channel_says_how_it_is_made_and_how_noisy_it_is():
-    """The sway speed: rotation of white noises, then the smoother: noise_gain times their size."""
+    """The sway speed: rotation of white noises, then the smoother: the norm of its taps times their size."""
     e = kvlcc2_zigzag.problem.experiment(kvlcc2_zigzag.simulate(duration=100.0))
     lines = [line for line in e.record.provenance if "derived from" in line]
     assert len(lines) == len(kvlcc2_zigzag.DERIVED)
@@ -90,7 +90,7 @@ def test_every_derived_channel_says_how_it_is_made_and_how_noisy_it_is():
         + (np.sin(psi) * noise["u_earth"]) ** 2
         + (U * noise["psi"]) ** 2
     )
-    expected = np.sqrt(white) * kvlcc2_zigzag.SMOOTHER.noise_gain(raw.Ts)
+    expected = np.sqrt(white) * np.linalg.norm(kvlcc2_zigzag.SMOOTHER.taps(raw.Ts))
     # Neighbours share up to 31 samples, of eight draws: four standard errors.
     assert found == pytest.approx(expected, rel=4 * np.sqrt(31 / (2 * 8 * raw.N)))
 

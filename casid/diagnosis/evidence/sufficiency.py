@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import correlate
 from scipy.stats import norm
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, robust_sd
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.window_states import states_of_windows
@@ -99,7 +99,7 @@ def _is_noise(e: Experiment, output: str, inputs: Sequence[str], tests: int) -> 
     y = e.record[output]
     y = np.where(e.record.is_missing(output), np.nan, y - np.nanmedian(y))
     # A few outliers must neither make noise of a motion nor a motion of noise.
-    spread = 1.4826 * float(np.nanmedian(np.abs(y)))  # of normal noise
+    spread = robust_sd(y)
     y = np.clip(y, *(SUFFICIENCY.clip * spread * np.array([-1.0, 1.0])))
     y = np.nan_to_num(y - np.nanmean(y))
     read = y[~e.record.is_missing(output)]  # in order: most of an uneven clock's grid is empty

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, robust_sd
 from casid.diagnosis.evidence.disturbances import Disturbance, disturbances_of
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import (
@@ -94,7 +94,7 @@ def _burst(tests: ResidualTests, at: Weighted) -> float:
 
 def _loudest(blocks: Array, at: Weighted) -> float:
     power = blocks[:, 2] / np.median(blocks[:, 2])
-    spread = 1.4826 * float(np.median(np.abs(power - 1.0)))
+    spread = robust_sd(power - 1.0)
     Ts = at.criterion.data[0].Ts
     count = (blocks[:, 1] - blocks[:, 0]) / Ts * len(at.criterion.outputs)
     count = np.minimum(count, 2.0 / max(spread**2, TINY))

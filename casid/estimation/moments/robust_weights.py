@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, robust_sd
 from casid.estimation.moments.moment_equations import MomentEquations
 
 
 def robust_weights(error: Array, alpha: Callable[[Array], Array]) -> Array:
     """alpha(e)/e at every sample (N,), with e in units of its robust spread (1.4826 MAD)."""
-    spread = 1.4826 * float(np.median(np.abs(error - np.median(error)))) or 1.0
+    spread = robust_sd(error - np.median(error)) or 1.0
     e = error / spread
     with np.errstate(all="ignore"):
         w = alpha(e) / e

@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from casid.arrays import TINY, Array, BoolArray
+from casid.arrays import TINY, Array, BoolArray, robust_sd
 from casid.estimation.simulation.thresholds import GROWING_NOISE
 
 
@@ -140,7 +140,7 @@ def _without_outliers(readings: Sequence[Readings], levels: Array | None) -> lis
         level = None if levels is None else _likeliest(parts, levels)[0]
         unit = [np.abs(p.value) / np.sqrt(np.maximum(p.variance(level), TINY)) for p in parts]
         every = np.concatenate(unit)
-        limit = GROWING_NOISE.outlier * 1.4826 * float(np.median(every))
+        limit = GROWING_NOISE.outlier * robust_sd(every)
         if levels is None:
             limit = float(np.quantile(every, 1 - GROWING_NOISE.few / 2))
         for k, (r, size) in enumerate(zip(out, unit, strict=True)):
@@ -177,7 +177,7 @@ def _is_independent(parts: Sequence[_Differences], level: float) -> bool:
     """
     found = expected = 0.0
     unit = np.concatenate([p.value / np.sqrt(p.variance(level)) for p in parts])
-    size = 1.4826 * float(np.median(np.abs(unit)))
+    size = robust_sd(unit)
     for p in parts:
         sd = np.sqrt(p.variance(level))
         clipped = np.clip(p.value / (max(size, TINY) * sd), -3.0, 3.0)

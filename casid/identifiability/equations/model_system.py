@@ -104,17 +104,6 @@ def system_of(
     return _finite(system.where(at=at).substituted(zeros), list(zeros))
 
 
-def systems_of(
-    problem: Problem | Model,
-    experiments: Sequence[Experiment],
-    *,
-    generic: bool = False,
-    direct: bool = False,
-) -> tuple[System, ...]:
-    """The systems of `translated`."""
-    return translated(problem, experiments, generic=generic, direct=direct).systems
-
-
 def translated(
     problem: Problem | Model,
     experiments: Sequence[Experiment],

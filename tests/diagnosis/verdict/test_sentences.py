@@ -30,7 +30,7 @@ from casid.model.effects.clock_effects import bias_drift, offset_step
 from casid.model.effects.names import effect_words, law_of
 from casid.model.effects.parameter_effects import parameter_drift
 from casid.model.units import unit_quotient
-from casid.report.figures.style import effect_label
+from casid.report.figures.style import short_label
 from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
@@ -79,7 +79,7 @@ def test_dry_friction_is_a_matter_of_forces_alone(unit, rate, name, sentence):
     law = law_of(effect.kind, effect.description)
     ranked = Ranked(*effect.key, 0.1, 0.1, None, "named", "", law)
     assert effect_words(*effect.key, description=ranked.law) == name
-    assert effect_label(*effect.key, ranked.law, 80) == name.replace(
+    assert short_label(effect_words(*effect.key, description=ranked.law), 80) == name.replace(
         " in the balance balance", ", balance"
     )
     alternatives = (Alternative("offset", "balance", 0.5, "as well"),)

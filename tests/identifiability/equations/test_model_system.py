@@ -12,7 +12,7 @@ import pytest
 
 import casid
 from casid.errors import DataError, ModelError
-from casid.identifiability.equations.model_system import left_out, system_of, systems_of, translated
+from casid.identifiability.equations.model_system import left_out, system_of, translated
 from casid.identifiability.equations.system import System
 from casid.model.declarations import Input
 from casid.model.effects.channel_effects import (
@@ -248,20 +248,20 @@ def test_the_problems_own_examples_translate_without_a_note(problem):
     translation = translated(problem, examples)
     assert translation.notes == ()
     assert [s.name for s in translation.systems] == [e.name for e in examples]
-    assert len(systems_of(problem.model, examples, direct=True)) == len(examples)
+    assert len(translated(problem.model, examples, direct=True).systems) == len(examples)
 
 
 def test_each_experiment_knows_its_load_case():
     model = spring().with_unknown("load")
     cases = [("empty", {"load": 0.0}), ("loaded", {"load": 0.2}), ("unknown load", {})]
     experiments = [casid.Experiment(record(), known, name) for name, known in cases]
-    systems = systems_of(model, experiments)
+    systems = translated(model, experiments).systems
     assert [s.name for s in systems] == ["empty", "loaded", "unknown load"]
     assert ["load" in s.parameters for s in systems] == [False, False, True]
     at = {"x": 1.0, "v": 0.0, "F": 0.0, "d": 0.0, "k": 3.0, "unused": 0.0, "load": 0.3}
     accelerations = [system_values(s, at)[1] for s in systems]
     np.testing.assert_allclose(accelerations, [-10.0, -6.0, -5.0], rtol=1e-14)
-    generic = systems_of(model, experiments, generic=True)
+    generic = translated(model, experiments, generic=True).systems
     assert [s.constants for s in generic] == [("m",), ("m", "load_loaded"), ("m",)]
 
 
@@ -287,7 +287,7 @@ def test_an_input_that_rests_is_taken_at_rest():
 def test_missing_samples_do_not_make_an_input_move():
     mask = np.arange(50) == 7
     run = record(F=np.where(mask, 1.0, 0.0)).mark_missing("F", mask)
-    assert systems_of(spring(), [casid.Experiment(run)])[0].inputs == ()
+    assert translated(spring(), [casid.Experiment(run)]).systems[0].inputs == ()
 
 
 @pytest.mark.parametrize(("at", "inputs"), [(2.0, 2), (99.0, 1)])
@@ -295,7 +295,7 @@ def test_a_jump_after_the_record_is_no_jump(at, inputs):
     """Its input is zero on the record's clock: the size of the jump is in no equation."""
     model = spring()
     jump = parameter_jump(model, "k", at).extend(model)
-    (system,) = systems_of(jump, [casid.Experiment(record())])
+    (system,) = translated(jump, [casid.Experiment(record())]).systems
     assert len(system.inputs) == inputs
     assert "jump_k" in system.parameters
     inside = {s.name() for s in ca.symvar(ca.vertcat(system.f, system.h))}
@@ -307,7 +307,7 @@ def test_a_generated_input_without_signal_stays_an_input():
     extended = model.copy()
     u = extended.add_input(Input("made", "N", "generated"))
     extended.add_term("force", u)
-    assert systems_of(extended, [casid.Experiment(record())])[0].inputs == ("F", "made")
+    assert translated(extended, [casid.Experiment(record())]).systems[0].inputs == ("F", "made")
 
 
 def test_a_zero_input_in_a_denominator_is_named():
@@ -315,12 +315,12 @@ def test_a_zero_input_in_a_denominator_is_named():
     model.output("ratio", model.symbol("x") / model.symbol("F"), "m/N")
     run = record(F=0.0).with_channel("ratio", np.zeros(50), "m/N")
     with pytest.raises(ModelError, match="free: division by zero at every point with F = 0; corr"):
-        systems_of(model, [casid.Experiment(run, name="free")])
+        translated(model, [casid.Experiment(run, name="free")])
 
 
 def test_records_lacking_a_channel_and_no_records_are_refused():
     run = record().without("F")
     with pytest.raises(DataError, match=r"bare: no channel 'F' for spring.*Rename or map one"):
-        systems_of(spring(), [casid.Experiment(run, name="bare")])
+        translated(spring(), [casid.Experiment(run, name="bare")])
     with pytest.raises(DataError, match="give one or more, or use system_of"):
-        systems_of(spring(), [])
+        translated(spring(), [])

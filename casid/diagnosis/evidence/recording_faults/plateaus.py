@@ -16,7 +16,7 @@ from scipy.signal import correlate
 from scipy.stats import nbinom, poisson
 from scipy.stats import t as student
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, robust_sd
 from casid.data.sampling import stretches_of
 from casid.diagnosis.evidence.recording_faults.stuck_sensors import noise_in_windows
 from casid.diagnosis.thresholds import CLIPPING
@@ -148,7 +148,7 @@ def _lacks_noise(
 def _error_size(errors: Sequence[Array], elsewhere: Sequence[Array]) -> float:
     """Standard deviation of the simulation error on samples `elsewhere`, by the median."""
     other = np.concatenate([r[m] for r, m in zip(errors, elsewhere, strict=True)])
-    return float(1.4826 * np.median(np.abs(other - np.median(other))))
+    return robust_sd(other - np.median(other))
 
 
 def _independent(errors: Sequence[Array], elsewhere: Sequence[Array], at: Sequence[Array]) -> float:

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import mannwhitneyu, norm
 
-from casid.arrays import TINY, Array, BoolArray
+from casid.arrays import TINY, Array, BoolArray, robust_sd
 from casid.diagnosis.thresholds import OUTLIERS, STEPS
 
 
@@ -240,7 +240,7 @@ def _scale(d: Array) -> float:
     if len(d) < OUTLIERS.shortest:
         return 0.0
     core = np.sort(np.abs(d[1:-1]))
-    mad = 1.4826 * float(np.median(core))
+    mad = robust_sd(core)
     body = core[: int(OUTLIERS.body * len(core))]
     # Standard deviation of a normal cut off at its central 96 %, undone.
     spread = float(np.sqrt(np.mean(body**2))) / 0.880

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, robust_sd
 from casid.data.channel_quality import quantisation_step
 from casid.data.sampling import stretches_of
 from casid.diagnosis.thresholds import CLIPPING
@@ -104,7 +104,7 @@ def _has_noise(measured: Sequence[Array], used: Sequence[Array], step: float | N
     if step is None:
         return True
     bends = [np.diff(y, 2)[u[2:] & u[1:-1] & u[:-2]] for y, u in zip(measured, used, strict=True)]
-    noise = 1.4826 * float(np.median(np.abs(np.concatenate(bends)))) / np.sqrt(6)
+    noise = robust_sd(np.concatenate(bends)) / np.sqrt(6)
     return bool(noise > 0.5 * step)
 
 
