@@ -77,7 +77,7 @@ def test_on_a_circle_the_lateral_acceleration_is_speed_times_yaw_rate():
 
 
 def test_every_derived_channel_says_how_it_is_made_and_how_noisy_it_is():
-    """The sway speed: rotation of white noises, then the smoother: the norm of its taps times their size."""
+    """The sway speed: a rotation of white noises, times the norm of the taps of the smoother."""
     e = kvlcc2_zigzag.problem.experiment(kvlcc2_zigzag.simulate(duration=100.0))
     lines = [line for line in e.record.provenance if "derived from" in line]
     assert len(lines) == len(kvlcc2_zigzag.DERIVED)
