@@ -135,7 +135,7 @@ def _by_numpy(process: Process) -> tuple[Array, Array]:
     gains, roots = np.empty((N, m, n)), np.empty((N, n, n))
     for k in range(N):
         seen = P @ c[k].T
-        root = np.asarray(np.linalg.inv(np.linalg.cholesky(c[k] @ seen + process.R[k])))
+        root = _inverse_root(c[k] @ seen + process.R[k])
         half = (a[k] @ seen + process.S[k]) @ root.T
         roots[k], gains[k] = root, half @ root
         P = a[k] @ P @ a[k].T - half @ half.T + process.Q[k]
@@ -176,6 +176,10 @@ def _block(m: int, n: int) -> Any:
     after = a @ P @ a.T - half @ half.T + Q
     step = ca.Function("step", [P, a, c, Q, R, S], [0.5 * (after + after.T), root, half @ root])
     return step.mapaccum(BLOCK)
+
+
+def _inverse_root(covariance: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 class PartialVarying:
