@@ -282,19 +282,16 @@ def read_experiment(
         problem, mapping, table.columns, None if clock is None else clock.column
     )
 
-    def read(problem: Problem) -> Experiment:
-        return problem.read(
-            source.path,
-            mapping=mapping,
-            window=source.window,
-            case=source.case,
-            resample=resample,
-            form=form,
-            mark_missing=reading.mark_missing,
-            ignore=reading.ignore,
-        )
-
-    experiment = read(problem)
+    experiment = problem.read(
+        source.path,
+        mapping=mapping,
+        window=source.window,
+        case=source.case,
+        resample=resample,
+        form=form,
+        mark_missing=reading.mark_missing,
+        ignore=reading.ignore,
+    )
     record = experiment.record
     # Of rows that are absent altogether a slower clock knows nothing, nor of one that a held input
     # has more, where two rows of the file share a place.

@@ -17,7 +17,6 @@ from casid.errors import ModelError
 from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.signals import unused_name
 
-Expr = Any  # a CasADi SX expression
 
 
 def replicas(system: System, n: int) -> tuple[System, ...]:
