@@ -18,7 +18,6 @@ from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.signals import unused_name
 
 
-
 def replicas(system: System, n: int) -> tuple[System, ...]:
     """The experiment n times: same parameters, own initial states, own inputs, known and unknown.
 
