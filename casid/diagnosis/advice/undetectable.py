@@ -91,7 +91,11 @@ class Undetectable:
 
 
 def undetectable_effects(
-    table: ScoreTable, model: Model, experiments: Sequence[Experiment]
+    table: ScoreTable,
+    model: Model,
+    experiments: Sequence[Experiment],
+    *,
+    threshold: float = SCORES.undetectable,
 ) -> tuple[Undetectable, ...]:
     """Causes of the table that are absorbed in every variant, structural ones first.
 
@@ -100,8 +104,9 @@ def undetectable_effects(
     table : of `score_test`.
     model : the baseline that the table's effects extend, without unknown inputs.
     experiments : those of the table; their load cases say what is known.
+    threshold : share of a signature below which it counts as absorbed.
     """
-    absorbed = absorbed_effects(table, model)
+    absorbed = absorbed_effects(table, model, threshold=threshold)
     if not absorbed:
         return ()
     tested = _RankTests(model, experiments)
@@ -109,10 +114,11 @@ def undetectable_effects(
     return tuple(sorted(found, key=lambda i: (not i.is_structural, i.kind, i.where)))
 
 
-def absorbed_effects(table: ScoreTable, model: Model) -> list[tuple[float, Effect]]:
+def absorbed_effects(
+    table: ScoreTable, model: Model, *, threshold: float = SCORES.undetectable
+) -> list[tuple[float, Effect]]:
     """Causes of the table that are absorbed in every variant, with the visible share of each.
 
-    One counts as absorbed where no more than `SCORES.undetectable` of its signature is left.
     A gain that errs from the sensor's zero is another cause than one that errs about the mean,
     which is a bias to first order: where both are tested, the former counts.
     """
@@ -127,7 +133,7 @@ def absorbed_effects(table: ScoreTable, model: Model) -> list[tuple[float, Effec
             largest[key] = s.visible, s.effect
     # The gain of a known input is what the user says that it is, unless a record denies it.
     exact = {(kind, n) for n, u in model.inputs.items() if u.kind == "known"}
-    return [(v, e) for v, e in largest.values() if v <= SCORES.undetectable and e.key not in exact]
+    return [(v, e) for v, e in largest.values() if v <= threshold and e.key not in exact]
 
 
 class _RankTests:
