@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,9 +31,30 @@ class TransferFunctions(Protocol):
     def inputs(self) -> tuple[str, ...]:
         """Names of the columns."""
 
+    @property
+    def time(self) -> tuple[str, float | None]:
+        """Variable and sample time."""
 
-def matrices(matrix: TransferFunctions) -> Matrices:
-    """(A, B, C, D) of a state space, minimal where there is one output or one input.
+
+@dataclass(frozen=True, slots=True)
+class _Single:
+    """One transfer function as a matrix."""
+
+    function: Rational
+    outputs: tuple[str, ...] = ("y1",)
+    inputs: tuple[str, ...] = ("u1",)
+
+    @property
+    def rows(self) -> tuple[tuple[Rational, ...], ...]:
+        return ((self.function,),)
+
+    @property
+    def time(self) -> tuple[str, float | None]:
+        return self.function.variable, self.function.Ts
+
+
+def state_space(function: Rational | TransferFunctions) -> Any:
+    """A `control.StateSpace`, minimal where there is one output or one input.
 
     One output: observer form over the least common denominator of entries that share poles, block
     by block. One input: its transpose. Several of both: the smaller of rows in observer form and
@@ -43,6 +65,26 @@ def matrices(matrix: TransferFunctions) -> Matrices:
     ModelError
         If an entry is improper, or parameters have no value.
     """
+    import control
+
+    matrix = _Single(function) if isinstance(function, Rational) else function
+    A, B, C, D = matrices(matrix)
+    variable, Ts = matrix.time
+    dt: Any = {"s": 0, "": None}.get(variable, Ts or True)
+    return control.StateSpace(
+        A,
+        B,
+        C,
+        D,
+        dt,
+        inputs=list(matrix.inputs),
+        outputs=list(matrix.outputs),
+        remove_useless_states=False,
+    )
+
+
+def matrices(matrix: TransferFunctions) -> Matrices:
+    """(A, B, C, D) of `state_space` as arrays."""
     _refuse(matrix)
     rows = matrix.rows
     columns = tuple(zip(*rows, strict=True))

@@ -11,6 +11,7 @@ import numpy as np
 from casid.algebra.control_reader import control_entries
 from casid.algebra.minors import inverse, normal_rank, pole_polynomial, zero_polynomial
 from casid.algebra.rational import Rational, common_time, rational
+from casid.algebra.realisation import state_space
 from casid.algebra.roots import Root, roots_of
 from casid.arrays import Array
 from casid.errors import ModelError
@@ -179,6 +180,10 @@ class RationalMatrix:
     def equals(self, other: RationalMatrix) -> bool:
         """Whether two matrices are the same, decided exactly."""
         return all(g.is_zero for row in (self - other).rows for g in row)
+
+    def state_space(self) -> Any:
+        """A `control.StateSpace` of it, see `casid.algebra.realisation`."""
+        return state_space(self)
 
     def __str__(self) -> str:
         return "\n".join(

@@ -19,10 +19,11 @@ import casadi as ca
 import numpy as np
 
 from casid.algebra.factoring import factored
-from casid.algebra.symbolic import to_sympy
+from casid.algebra.symbolic import exact, to_sympy
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError, SolveError, nearest
 from casid.linear.difference_equation import DifferenceEquation
+from casid.linear.discretisation import SUBSTITUTIONS, substitution
 from casid.linear.linear_model import TransferMatrix
 
 _ITERATIONS = 60
@@ -386,6 +387,48 @@ def continuous_names(transfer: TransferMatrix) -> dict[str, Any]:
     for u, b in zip(transfer.inputs, transfer.numerators[0], strict=True):
         named |= {f"beta{k}[{u}]": b[k] for k in range(b.numel())}
     return {n: e for n, e in named.items() if e.nnz()}
+
+
+def continuous_form(equation: DifferenceEquation) -> dict[str, Any]:
+    """The continuous coefficients as sympy expressions of the discrete ones: (7.36), any order.
+
+    Returns
+    -------
+    "alpha1", ..., "beta1[accel]", ... (see `ClosedForm`) -> expression of the coefficients of the
+    equation ("a1", "b0[accel]", ...) and the sample time "T".
+
+    Raises
+    ------
+    ModelError
+        For an exact hold, where they are no rational functions; `equation.continuous` has numbers.
+    """
+    import sympy
+
+    if equation.method not in SUBSTITUTIONS:
+        raise ModelError(
+            f"{equation.name}: under {equation.method} the continuous coefficients are logarithms "
+            f"of the discrete ones; use equation.continuous(theta), or {', '.join(SUBSTITUTIONS)}"
+        )
+    # A relation's weight may hold the sample time: then it is kept as the number it is.
+    weights = sympy.Matrix(
+        equation.relations.shape[0],
+        equation.relations.shape[1],
+        lambda i, j: sympy.Rational(exact(float(equation.relations[i, j]))),
+    )
+    theta = sympy.Matrix([1, *(sympy.Symbol(n) for n in equation.coefficients)])
+    n = equation.transfer.order
+    T = sympy.Symbol("T", positive=True)
+    rows = (weights * theta).reshape(1 + len(equation.inputs), n + 1)
+    images = rows * sympy.Matrix(substitution(n, T, equation.method)).inv()
+    names = {f"alpha{k}": (0, k) for k in range(1, n + 1)}
+    for i, u in enumerate(equation.inputs, 1):
+        names |= {f"beta{k}[{u}]": (i, k) for k in range(n + 1)}
+    kept = continuous_names(equation.transfer)
+    return {
+        name: factored(sympy.cancel(images[place] / images[0, 0]))
+        for name, place in names.items()
+        if name in kept
+    }
 
 
 def closed_form(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from casid.algebra.minors import determinant
 from casid.algebra.rational import Rational, rational
-from casid.algebra.realisation import matrices, mcmillan_degree
+from casid.algebra.realisation import mcmillan_degree, state_space
 from casid.algebra.transfer_matrix import transfer_matrix
 from casid.errors import ModelError
 
@@ -150,7 +150,7 @@ def test_a_realisation_has_the_transfer_matrix_and_rows_and_columns_are_minimal(
         return Fraction(int(d), 10) + Fraction(int(b), 10) / (q - Fraction(int(a), 10))
 
     G = transfer_matrix([[module() for _ in range(shape[1])] for _ in range(shape[0])])
-    system = control.ss(*matrices(G), True, remove_useless_states=False)
+    system = state_space(G)
     w = np.array([0.2, 1.0, 3.0])
     got = np.stack([system(np.exp(1j * x), squeeze=False) for x in w])
     np.testing.assert_allclose(
@@ -229,6 +229,6 @@ def test_an_improper_function_has_no_direct_term_and_no_realisation():
     with pytest.raises(ModelError, match="improper .* Delay or filter it"):
         (q * q / (q - 0.5)).direct  # noqa: B018
     with pytest.raises(ModelError, match="delay it by 1 samples, or filter it"):
-        matrices(transfer_matrix([[q * q / (q - 0.5)]]))
+        state_space(q * q / (q - 0.5))
     with pytest.raises(ModelError, match="singular at every q .* column 1 depends"):
         transfer_matrix([[1 / q, 2 / q], [1, 2]]).inverse()

@@ -6,13 +6,14 @@ import pickle
 
 import numpy as np
 import pytest
+import sympy
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from casid.errors import ModelError
 from casid.linear.difference_equation import difference_equation
 from casid.linear.discretisation import METHODS, SUBSTITUTIONS, discretise
-from casid.linear.inverse_map import invert
+from casid.linear.inverse_map import continuous_form, invert
 from casid.linear.linear_model import linearise
 from casid.model.model import Model
 from problems.pendulum import direct_model
@@ -159,6 +160,40 @@ def test_the_inverse_of_the_bilinear_map_is_7_36():
     )
     np.testing.assert_array_equal(beta["accel"][[0, 2]], 0.0)
     assert beta["accel"][1] == pytest.approx(8 / T * b0 / Dn, rel=1e-12)
+
+
+def test_7_36_follows_symbolically():
+    """The inverse substitution on symbols a1, a2, b0, T cancels to the printed formulas."""
+    form = continuous_form(difference_equation(indirect(), "gyro", 0.01))
+    a1, a2, b0 = sympy.symbols("a1 a2 b0[accel]")
+    T = sympy.Symbol("T", positive=True)
+    Dn = 1 - a1 + a2
+    printed = {
+        "alpha1": 4 / T * (1 - a2) / Dn,
+        "alpha2": 4 / T**2 * (1 + a1 + a2) / Dn,
+        "beta1[accel]": 8 / T * b0 / Dn,
+    }
+    assert form.keys() == printed.keys()
+    for name, expression in printed.items():
+        assert sympy.simplify(form[name] - expression) == 0
+
+
+@pytest.mark.parametrize("method", SUBSTITUTIONS)
+def test_the_symbolic_inverse_evaluates_to_the_numeric_one(method):
+    e = difference_equation(spring_chain(2), "q", 0.1, method=method)
+    theta = e.theta(chain_values(2, 1))
+    alpha, beta = e.continuous(theta)
+    numbers = {sympy.Symbol(n): v for n, v in zip(e.coefficients, theta, strict=True)}
+    numbers[sympy.Symbol("T", positive=True)] = 0.1
+    for name, expression in continuous_form(e).items():
+        k = int(name.removeprefix("alpha").removeprefix("beta").removesuffix("[F]"))
+        wanted = alpha[k] if name.startswith("alpha") else beta["F"][k]
+        assert float(expression.subs(numbers)) == pytest.approx(wanted, rel=1e-8)
+
+
+def test_a_hold_has_no_rational_inverse():
+    with pytest.raises(ModelError, match="logarithms .* equation.continuous"):
+        continuous_form(difference_equation(indirect(), "gyro", 0.01, method="zoh"))
 
 
 # -- the ship ----------------------------------------------------------------------------------

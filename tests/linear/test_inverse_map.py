@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from casid.errors import IdentifiabilityError, ModelError, SolveError
 from casid.linear.difference_equation import difference_equation
 from casid.linear.discretisation import METHODS
-from casid.linear.inverse_map import closed_form, invert
+from casid.linear.inverse_map import closed_form, continuous_form, invert
 from tests.support.linear_models import NOMINAL, SHIP, indirect, ship, spring_chain
 
 LOADED = NOMINAL | {"m": 0.2}
@@ -209,11 +209,8 @@ def test_closed_forms_take_whole_samples():
     rng = np.random.default_rng(4)
     masses, places = rng.uniform(0.1, 0.5, 200), rng.uniform(-0.4, -0.2, 200)
     thetas = [e.theta(NOMINAL | {"m": m, "z_m": z}) for m, z in zip(masses, places, strict=True)]
-    both = [e.continuous(theta) for theta in thetas]
-    continuous = {
-        "alpha1": np.array([alpha[1] for alpha, _ in both]),
-        "beta1[accel]": np.array([beta["accel"][1] for _, beta in both]),
-    }
+    named = dict(zip(e.coefficients, np.array(thetas).T, strict=True)) | {"T": 0.01}
+    continuous = at_arrays(continuous_form(e), named)
     form = closed_form(e, ("m", "z_m"), using=("alpha1", "beta1[accel]"))
     found = at_arrays(form.expressions, {**e.known, **NOMINAL, **continuous})
     np.testing.assert_allclose(found["m"], masses, rtol=1e-7)

@@ -22,6 +22,7 @@ from casid.identifiability.symbolic.lie_derivatives import Budget, output_deriva
 from casid.identifiability.symbolic.reduced_form import (
     ReducedForm,
     derivative_name,
+    latex_table,
 )
 from casid.identifiability.symbolic.symbolic_rank import Profile, profile, reduced_row_echelon, tidy
 from casid.presentation import Presented
@@ -193,6 +194,10 @@ class ObservabilityMatrix(Presented):
     def observable(self) -> dict[str, bool]:
         """State -> True if its initial value is locally observable at almost every point."""
         return {s: self._is_seen(s) for s in self.states}
+
+    def to_latex(self) -> str:
+        """The matrix as a LaTeX array, labelled."""
+        return latex_table(self.matrix, self.row_names, self.columns)
 
     def __repr__(self) -> str:
         m, n = self.matrix.shape

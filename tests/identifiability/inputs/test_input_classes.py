@@ -12,7 +12,7 @@ from casid.errors import ModelError
 from casid.identifiability.equations.equation_text import parse_system
 from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
-from casid.identifiability.inputs.experiments import merge, replicas
+from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
 from casid.identifiability.inputs.input_classes import (
     Exosystem,
     as_exosystem,
@@ -23,7 +23,6 @@ from casid.identifiability.inputs.input_classes import (
 )
 from casid.identifiability.rank.observability import observability
 from tests.support.formula_systems import system_of
-from tests.support.input_classes import systems_by_class
 from tests.support.shared import shared
 
 

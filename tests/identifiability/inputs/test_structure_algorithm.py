@@ -15,12 +15,11 @@ from casid.identifiability.equations.equation_text import parse_system, parse_sy
 from casid.identifiability.equations.system import System
 from casid.identifiability.inputs import structure_algorithm
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
-from casid.identifiability.inputs.experiments import merge, replicas
+from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
 from casid.identifiability.inputs.input_derivatives import observability_by_counting
 from casid.identifiability.rank.observability import observability, rank_at
 from problems import pendulum
 from tests.support.formula_systems import system_of
-from tests.support.input_classes import systems_by_class
 from tests.support.shared import shared
 
 P = 2_147_483_647

@@ -370,6 +370,9 @@ def test_the_matrix_prints_with_its_labels() -> None:
         ["v", "m", "c", "b"],
         ["v", "1", "0", "0", "0"],
     ]
+    latex = observability_matrix(mass_damper()).to_latex()
+    assert r"\ddot{v}" in latex
+    assert r"\dot{F}" in latex
 
 
 def test_systems_that_have_no_such_matrix_are_refused_with_a_mend() -> None:
