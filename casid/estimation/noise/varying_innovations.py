@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,11 +26,14 @@ from scipy.linalg.lapack import dtbtrs
 from casid.arrays import Array, BoolArray
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.noise_response import Steps
+from casid.estimation.simulation.machine_code import MachineCode
 
-COMPILED = 6
-"""States up to which a recursion of CasADi is faster than one of NumPy's small matrices."""
+INTERPRETED = 6
+"""States up to which CasADi interprets the recursion faster than NumPy takes it by matrices."""
+WRITTEN_OUT = 16
+"""States up to which the recursion is written out, operation by operation, for a compiler."""
 BLOCK = 256
-"""Samples that it takes at a time."""
+"""Samples that CasADi takes at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +82,7 @@ class VaryingInnovations:
                 S=process.S * used[:, None, :],
             )
         self._c = seen.c
-        sweep = _by_casadi if len(process.P) <= COMPILED else _by_numpy
-        self._gains, self._roots = sweep(seen)
+        self._gains, self._roots = _gains_and_roots(seen)
         self._band = _bands(seen.a - self._gains @ seen.c)
 
     def whiten(self, columns: Array) -> Array:
@@ -128,14 +129,37 @@ class VaryingInnovations:
         return _solved(band, states, "N")
 
 
+def _gains_and_roots(process: Process) -> tuple[Array, Array]:
+    """Gains (N, m, n) and inverse roots (N, n, n) of the covariances of the innovations."""
+    N, n, m = process.c.shape
+    if m > WRITTEN_OUT:
+        return _by_numpy(process)
+    written_out = recursion(m, n)
+    compiled = written_out.code.before(N)
+    if compiled is None and m > INTERPRETED:
+        return _by_numpy(process)
+    along = [process.a, process.c, process.Q, process.R, process.S]
+    rows = np.concatenate([part.reshape(N, -1) for part in along], axis=1)
+    if compiled is None:
+        found = written_out.interpreted(process.P.ravel(), rows)
+    else:
+        found, nothing = np.empty((N, n * n + m * n)), np.empty(0)
+        state, place = process.P.ravel(), np.array([0.0, 0.5, 1.0])
+        compiled(state, rows, rows, nothing, place, nothing, found, 0.0)
+    roots, gains = found[:, : n * n].reshape(N, n, n), found[:, n * n :].reshape(N, m, n)
+    if not np.all(np.isfinite(roots)):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+    return gains, roots
+
+
 def _by_numpy(process: Process) -> tuple[Array, Array]:
-    """Gains (N, m, n) and inverse roots (N, n, n) of the covariances, sample by sample."""
+    """The same, sample by sample with NumPy's matrices."""
     a, c, P = process.a, process.c, process.P
     N, n, m = c.shape
     gains, roots = np.empty((N, m, n)), np.empty((N, n, n))
     for k in range(N):
         seen = P @ c[k].T
-        root = _inverse_root(c[k] @ seen + process.R[k])
+        root = np.linalg.inv(np.linalg.cholesky(c[k] @ seen + process.R[k]))
         half = (a[k] @ seen + process.S[k]) @ root.T
         roots[k], gains[k] = root, half @ root
         P = a[k] @ P @ a[k].T - half @ half.T + process.Q[k]
@@ -143,43 +167,56 @@ def _by_numpy(process: Process) -> tuple[Array, Array]:
     return gains, roots
 
 
-def _by_casadi(process: Process) -> tuple[Array, Array]:
-    """The gains and roots of a process with few states by CasADi, in a fifth of the time."""
-    N, n, m = process.c.shape
-    past = -N % BLOCK  # the last block is filled up with its last sample
-    parts = [
-        np.concatenate([part, np.broadcast_to(part[-1:], (past, *part.shape[1:]))])
-        for part in (process.a, process.c, process.Q, process.R, process.S)
-    ]
-    gains, roots = np.empty((N + past, m, n)), np.empty((N + past, n, n))
-    P, sweep = process.P, _block(m, n)
-    for first in range(0, N, BLOCK):
-        rows = slice(first, first + BLOCK)
-        along = (part[rows].swapaxes(0, 1).reshape(part.shape[1], -1) for part in parts)
-        after, root, gain = (np.array(found) for found in sweep(P, *along))
-        P = after[:, -m:]
-        roots[rows] = root.reshape(n, BLOCK, n).swapaxes(0, 1)
-        gains[rows] = gain.reshape(m, BLOCK, n).swapaxes(0, 1)
-    if not np.all(np.isfinite(roots[:N])):
-        raise np.linalg.LinAlgError("Matrix is not positive definite")
-    return gains[:N], roots[:N]
+class _Recursion:
+    """The Riccati recursion of (1) for m states and n outputs, written out.
+
+    A step takes P (m m,) and what stands in a row of the process, and gives P at the next sample,
+    the inverse root and the gain, all by rows.
+
+    Attributes
+    ----------
+    code : its machine code, once it was taken often enough.
+    """
+
+    def __init__(self, m: int, n: int) -> None:
+        shapes = [(m, m), (m, m), (n, m), (m, m), (n, n), (m, n)]
+        symbols = [
+            ca.SX.sym(name, rows * cols)
+            for name, (rows, cols) in zip("PacQRS", shapes, strict=True)
+        ]
+        P, a, c, Q, R, S = (
+            ca.reshape(by_rows, columns, rows).T
+            for by_rows, (rows, columns) in zip(symbols, shapes, strict=True)
+        )
+        seen = P @ c.T
+        root = ca.solve(ca.chol(c @ seen + R).T, ca.SX.eye(n))
+        half = (a @ seen + S) @ root.T
+        after = a @ P @ a.T - half @ half.T + Q
+        results = [0.5 * (after + after.T), root, half @ root]
+        first, out = ca.vec(results[0]), ca.vertcat(*(ca.vec(each.T) for each in results[1:]))
+        row, nothing, place = ca.vertcat(*symbols[1:]), ca.SX(0, 1), ca.SX.sym("place", 3)
+        arguments = [symbols[0], row, ca.SX.sym("after", row.numel()), nothing, place]
+        dense = [ca.densify(first), ca.densify(out), nothing]
+        self.code = MachineCode(ca.Function("step", arguments, dense), 0)
+        self._block = ca.Function("step", [symbols[0], row], dense[:2]).mapaccum(BLOCK)
+
+    def interpreted(self, state: Array, rows: Array) -> Array:
+        """(N, n n + m n) of rows (N, .) of a process, by CasADi."""
+        N = len(rows)
+        # The last block is filled up with its last sample.
+        filled = np.concatenate([rows, np.broadcast_to(rows[-1:], (-N % BLOCK, rows.shape[1]))])
+        found = []
+        for first in range(0, N, BLOCK):
+            states, out = self._block(state, filled[first : first + BLOCK].T)
+            state = states[:, -1]
+            found.append(out.full().T)
+        return np.concatenate(found)[:N]
 
 
 @lru_cache(maxsize=16)
-def _block(m: int, n: int) -> Any:
-    """The Riccati recursion of (1) over a block of samples, of m states and n outputs."""
-    P, a, Q = (ca.SX.sym(name, m, m) for name in ("P", "a", "Q"))
-    c, R, S = ca.SX.sym("c", n, m), ca.SX.sym("R", n, n), ca.SX.sym("S", m, n)
-    seen = P @ c.T
-    root = ca.solve(ca.chol(c @ seen + R).T, ca.SX.eye(n))
-    half = (a @ seen + S) @ root.T
-    after = a @ P @ a.T - half @ half.T + Q
-    step = ca.Function("step", [P, a, c, Q, R, S], [0.5 * (after + after.T), root, half @ root])
-    return step.mapaccum(BLOCK)
-
-
-def _inverse_root(covariance: Array) -> Array:
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+def recursion(m: int, n: int) -> _Recursion:
+    """The recursion of m states and n outputs, written out once."""
+    return _Recursion(m, n)
 
 
 class PartialVarying:

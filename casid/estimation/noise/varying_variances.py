@@ -89,7 +89,7 @@ def with_likeliest_variances(
     """
     search = _Likelihood(noise, steps, criterion, residuals)
     none = np.zeros(0)
-    z, at = minimum(search.at, np.zeros(len(search.keys)), none, none)
+    z, at = minimum(search.at, search.start(), none, none)
     found = search.scaled(z)
     filters = filters_along(found, steps)
     if filters is None:
@@ -141,17 +141,32 @@ class _Likelihood:
         source_sd = {**self.noise.source_sd, **moved}
         return replace(self.noise, output_sd=output_sd, source_sd=source_sd)
 
+    def start(self) -> Array:
+        """The variances to begin with, all times one factor where that is likelier.
+
+        Under variances all times a factor, innovations are the same times the inverse of its root:
+        the likeliest factor is their mean square (Harvey, section 3.4). It is the factor of all
+        but those that are known.
+        """
+        none = np.zeros(len(self.keys))
+        here = self._innovations(none)
+        count = sum(int(d.used.sum()) for d in self.data)
+        squares = sum(float(np.sum(e**2)) for e, _ in here)
+        if not here or not squares > 0.0:
+            return none
+        there = none + np.log(squares / count)
+        return there if _value(self._innovations(there)) < _value(here) else none
+
     def at(self, z: Array) -> At:
         """Value, gradient and information at a point."""
         n = len(z)
         here = self._innovations(z)
         beside = [self._innovations(z + VARYING_RESPONSE.difference * step) for step in np.eye(n)]
-        value, gradient, information = 0.0, np.zeros(n), np.zeros((n, n))
+        value, gradient, information = _value(here), np.zeros(n), np.zeros((n, n))
         for k in range(len(self.data)):
             if not all(beside) or not here:
                 return impossible(n)
             e, logs = here[k]
-            value += 0.5 * float(np.sum(e**2)) - float(np.sum(logs))
             de = np.array([(b[k][0] - e).ravel() for b in beside]) / VARYING_RESPONSE.difference
             dlogs = (
                 np.array([(b[k][1] - logs).ravel() for b in beside]) / VARYING_RESPONSE.difference
@@ -169,3 +184,9 @@ class _Likelihood:
                 (of.whiten(columns)[:, :, 0], of.log_roots)
                 for of, columns in zip(filters or (), self.columns, strict=filters is not None)
             ]
+
+
+def _value(innovations: Sequence[tuple[Array, Array]]) -> float:
+    """Minus the log-likelihood of e and -log s of each experiment; infinite of none."""
+    squares = [0.5 * float(np.sum(e**2)) - float(np.sum(logs)) for e, logs in innovations]
+    return sum(squares) if squares else np.inf

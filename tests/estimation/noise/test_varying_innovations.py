@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from casid.compiler import compiler
 from casid.estimation.noise import varying_innovations as varying
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.noise_response import Steps
@@ -16,6 +19,7 @@ from casid.estimation.noise.varying_innovations import (
     smoothed_sources,
     varying_innovations,
 )
+from casid.estimation.simulation import machine_code
 
 N, TS = 40, 0.5
 SD = np.array([0.1, 0.3])
@@ -87,22 +91,52 @@ def test_the_sum_of_squares_and_the_determinant_are_those_of_the_whole_record():
     assert of.log_determinant(N) == pytest.approx(np.linalg.slogdet(whole)[1], abs=1e-6)
 
 
-def test_many_states_are_filtered_as_few_are(monkeypatch: pytest.MonkeyPatch):
-    """CasADi's recursion in blocks, the last of them not full, and NumPy's sample by sample."""
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler is found here")
+
+
+@pytest.fixture
+def own_recursions() -> Iterator[None]:
+    """Recursions that no other test takes."""
+    varying.recursion.cache_clear()
+    yield
+    varying.recursion.cache_clear()
+
+
+def filtered_by(way: str, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Take one way of the recursion: machine code, CasADi in blocks (the last not full), NumPy."""
+    monkeypatch.setenv("CASID_CACHE", str(folder) if way == "compiled" else "")
+    monkeypatch.setattr(machine_code, "OPTIMISED_AFTER", (1, 0, 1, 1))
     monkeypatch.setattr(varying, "BLOCK", 16)
-    varying._block.cache_clear()
+    if way == "numpy":
+        monkeypatch.setattr(varying, "WRITTEN_OUT", 0)
+
+
+WAYS = [pytest.param("compiled", marks=needs_compiler), "interpreted", "numpy"]
+
+
+@pytest.mark.usefixtures("own_recursions")
+@pytest.mark.parametrize("way", WAYS[:2])
+def test_a_recursion_that_is_written_out_is_that_of_matrices(
+    way: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    with monkeypatch.context() as patch:
+        filtered_by("numpy", patch, tmp_path)
+        many = found()
+    varying.recursion.cache_clear()
+    filtered_by(way, monkeypatch, tmp_path)
     few = found()
-    monkeypatch.setattr(varying, "COMPILED", 0)
-    many = found()
-    varying._block.cache_clear()
+    assert bool(list(tmp_path.glob("steps/*.so"))) == (way == "compiled")
     r = np.random.default_rng(5).standard_normal((N, 2, 3))
     assert few.whiten(r) == pytest.approx(many.whiten(r), rel=1e-10, abs=1e-12)
     assert few.log_determinant(N) == pytest.approx(many.log_determinant(N), rel=1e-12)
 
 
-@pytest.mark.parametrize("compiled", [0, 6])
-def test_a_variance_below_zero_is_refused(compiled: int, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(varying, "COMPILED", compiled)
+@pytest.mark.usefixtures("own_recursions")
+@pytest.mark.parametrize("way", WAYS)
+def test_a_variance_below_zero_is_refused(
+    way: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    filtered_by(way, monkeypatch, tmp_path)
     process = found().process
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         VaryingInnovations(replace(process, R=-1e6 * process.R))
