@@ -263,8 +263,8 @@ class Weighing:
         """The root of (2) in `score_tests`, with the noise found there; None if none is near.
 
         Where much is unexplained, the noise meanwhile is that of sensors and inputs alone. Given up
-        where several steps come no nearer (a bound holds a parameter back, say), or so slowly that
-        all that are left would not reach it.
+        where it is farther than all steps reach, where several come no nearer (a bound holds a
+        parameter back, say), or so slowly that all that are left would not reach it.
         """
         if not any(found.input_sd.values()):
             return None
@@ -276,6 +276,8 @@ class Weighing:
             use_samples_of(criterion, found.criterion)
             step = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
             x, length = step.x, step.length
+            if length > (PREWHITENING.steps - k) * PREWHITENING.longest_step:
+                return None
             there = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
             if not criterion.evaluate(x).value * float(np.finfo(float).eps) < step.value:
                 return None  # it diverges: next to its errors none of the records' are left
