@@ -38,23 +38,38 @@ BLOCK = 256
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Process:
-    """(1) with all states in one.
+    """(1) with all states in one, driven by white noise: what its variances are is said last.
 
     Attributes
     ----------
     a, c : (N, m, m), (N, n, m).
-    Q : (N, m, m) covariance of what drives the state.
-    R : (N, n, n) that of the outputs' white noise.
-    S : (N, m, n) of the two.
-    P : (m, m) that of the state at the first sample.
+    enters, shows : (N, m, q), (N, n, q) what a unit of driving noise moves in the next state, and
+        in the outputs at once.
+    sources : (q,) the source of each.
+    average : (m, m) of `a`; and `driven`, (q, m, m) of the outer products of what enters.
+    variances : (q,) of the driving noise.
+    white : (n,) those of the outputs' own noise.
     """
 
     a: Array
     c: Array
-    Q: Array
-    R: Array
-    S: Array
-    P: Array
+    enters: Array
+    shows: Array
+    sources: tuple[str, ...]
+    average: Array
+    driven: Array
+    variances: Array
+    white: Array
+
+    def under(self, output_sd: Array, source_sd: Mapping[str, float]) -> Process:
+        """The same under noise of other sizes, (n,) of each output and of each source."""
+        variances = np.array([source_sd[name] ** 2 for name in self.sources])
+        return replace(self, variances=variances, white=output_sd**2)
+
+    @property
+    def before(self) -> Array:
+        """(m, m) covariance of the state at the first sample."""
+        return _before(self.average, np.tensordot(self.variances, self.driven, 1), len(self.a))
 
 
 class VaryingInnovations:
@@ -72,17 +87,12 @@ class VaryingInnovations:
 
     def __init__(self, process: Process, used: BoolArray | None = None) -> None:
         self.process, self._used = process, used
-        seen, n = process, process.c.shape[1]
+        seen = process
         if used is not None:  # what is missing shows nothing, and has one unit of white noise
-            pairs = used[:, :, None] & used[:, None, :]
-            seen = replace(
-                process,
-                c=process.c * used[:, :, None],
-                R=np.where(pairs, process.R, np.eye(n)),
-                S=process.S * used[:, None, :],
-            )
+            at = used[:, :, None]
+            seen = replace(process, c=process.c * at, shows=process.shows * at)
         self._c = seen.c
-        self._gains, self._roots = _gains_and_roots(seen)
+        self._gains, self._roots = _gains_and_roots(seen, used)
         self._band = _bands(seen.a - self._gains @ seen.c)
 
     def whiten(self, columns: Array) -> Array:
@@ -119,7 +129,7 @@ class VaryingInnovations:
         p = self.process
         if rows == slice(0, len(p.a)):
             return self
-        parts = {name: getattr(p, name)[rows] for name in ("a", "c", "Q", "R", "S")}
+        parts = {name: getattr(p, name)[rows] for name in ("a", "c", "enters", "shows")}
         return VaryingInnovations(replace(p, **parts))
 
     def _states(self, columns: Array, band: Array) -> Array:
@@ -129,94 +139,106 @@ class VaryingInnovations:
         return _solved(band, states, "N")
 
 
-def _gains_and_roots(process: Process) -> tuple[Array, Array]:
-    """Gains (N, m, n) and inverse roots (N, n, n) of the covariances of the innovations."""
-    N, n, m = process.c.shape
+def _gains_and_roots(process: Process, used: BoolArray | None) -> tuple[Array, Array]:
+    """Gains (N, m, n) and inverse roots (N, n, n) of the covariances of the innovations.
+
+    Parameters
+    ----------
+    used : (N, n) the outputs that have their own noise; the others have one unit of it.
+    """
+    (N, n, m), q = process.c.shape, len(process.variances)
+    lack = np.zeros((N, n)) if used is None else 1.0 - used
     if m > WRITTEN_OUT:
-        return _by_numpy(process)
-    written_out = recursion(m, n)
+        return _by_numpy(process, lack)
+    written_out = recursion(m, n, q)
     compiled = written_out.code.before(N)
     if compiled is None and m > INTERPRETED:
-        return _by_numpy(process)
-    along = [process.a, process.c, process.Q, process.R, process.S]
+        return _by_numpy(process, lack)
+    along = [process.a, process.c, process.enters, process.shows, lack]
     rows = np.concatenate([part.reshape(N, -1) for part in along], axis=1)
+    state, sizes = process.before.ravel(), np.concatenate([process.variances, process.white])
     if compiled is None:
-        found = written_out.interpreted(process.P.ravel(), rows)
+        found = written_out.interpreted(state, rows, sizes)
     else:
-        found, nothing = np.empty((N, n * n + m * n)), np.empty(0)
-        state, place = process.P.ravel(), np.array([0.0, 0.5, 1.0])
-        compiled(state, rows, rows, nothing, place, nothing, found, 0.0)
+        found, nothing, place = np.empty((N, n * n + m * n)), np.empty(0), np.array([0.0, 0.5, 1.0])
+        compiled(state, rows, rows, sizes, place, nothing, found, 0.0)
     roots, gains = found[:, : n * n].reshape(N, n, n), found[:, n * n :].reshape(N, m, n)
     if not np.all(np.isfinite(roots)):
         raise np.linalg.LinAlgError("Matrix is not positive definite")
     return gains, roots
 
 
-def _by_numpy(process: Process) -> tuple[Array, Array]:
+def _by_numpy(process: Process, lack: Array) -> tuple[Array, Array]:
     """The same, sample by sample with NumPy's matrices."""
-    a, c, P = process.a, process.c, process.P
+    a, c, P = process.a, process.c, process.before
     N, n, m = c.shape
+    enters, shows = (part * process.variances for part in (process.enters, process.shows))
+    own = process.white * (1.0 - lack) + lack
     gains, roots = np.empty((N, m, n)), np.empty((N, n, n))
     for k in range(N):
         seen = P @ c[k].T
-        root = np.linalg.inv(np.linalg.cholesky(c[k] @ seen + process.R[k]))
-        half = (a[k] @ seen + process.S[k]) @ root.T
+        covariance = c[k] @ seen + shows[k] @ process.shows[k].T + np.diag(own[k])
+        root = np.linalg.inv(np.linalg.cholesky(covariance))
+        half = (a[k] @ seen + enters[k] @ process.shows[k].T) @ root.T
         roots[k], gains[k] = root, half @ root
-        P = a[k] @ P @ a[k].T - half @ half.T + process.Q[k]
+        P = a[k] @ P @ a[k].T - half @ half.T + enters[k] @ process.enters[k].T
         P = 0.5 * (P + P.T)
     return gains, roots
 
 
 class _Recursion:
-    """The Riccati recursion of (1) for m states and n outputs, written out.
+    """The Riccati recursion of (1) for m states, n outputs and q driving noises, written out.
 
-    A step takes P (m m,) and what stands in a row of the process, and gives P at the next sample,
-    the inverse root and the gain, all by rows.
+    A step takes P (m m,), what stands in a row of the process, and the variances, and gives P at
+    the next sample, the inverse root and the gain, all by rows.
 
     Attributes
     ----------
     code : its machine code, once it was taken often enough.
     """
 
-    def __init__(self, m: int, n: int) -> None:
-        shapes = [(m, m), (m, m), (n, m), (m, m), (n, n), (m, n)]
-        symbols = [
-            ca.SX.sym(name, rows * cols)
-            for name, (rows, cols) in zip("PacQRS", shapes, strict=True)
-        ]
-        P, a, c, Q, R, S = (
+    def __init__(self, m: int, n: int, q: int) -> None:
+        shapes = [(m, m), (m, m), (n, m), (m, q), (n, q), (1, n)]
+        symbols = [ca.SX.sym("of_sample", rows * columns) for rows, columns in shapes]
+        P, a, c, enters, shows, lack = (
             ca.reshape(by_rows, columns, rows).T
             for by_rows, (rows, columns) in zip(symbols, shapes, strict=True)
         )
+        sizes = ca.SX.sym("sizes", q + n)
+        driven, white = ca.diag(sizes[:q]), sizes[q:]
         seen = P @ c.T
-        root = ca.solve(ca.chol(c @ seen + R).T, ca.SX.eye(n))
-        half = (a @ seen + S) @ root.T
-        after = a @ P @ a.T - half @ half.T + Q
+        own = ca.diag(white * (1 - lack.T) + lack.T)
+        root = ca.solve(ca.chol(c @ seen + shows @ driven @ shows.T + own).T, ca.SX.eye(n))
+        half = (a @ seen + enters @ driven @ shows.T) @ root.T
+        after = a @ P @ a.T - half @ half.T + enters @ driven @ enters.T
         results = [0.5 * (after + after.T), root, half @ root]
         first, out = ca.vec(results[0]), ca.vertcat(*(ca.vec(each.T) for each in results[1:]))
-        row, nothing, place = ca.vertcat(*symbols[1:]), ca.SX(0, 1), ca.SX.sym("place", 3)
-        arguments = [symbols[0], row, ca.SX.sym("after", row.numel()), nothing, place]
+        row, nothing = ca.vertcat(*symbols[1:]), ca.SX(0, 1)
         dense = [ca.densify(first), ca.densify(out), nothing]
-        self.code = MachineCode(ca.Function("step", arguments, dense), 0)
-        self._block = ca.Function("step", [symbols[0], row], dense[:2]).mapaccum(BLOCK)
+        unused = [ca.SX.sym("after", row.numel()), sizes, ca.SX.sym("place", 3)]
+        self.code = MachineCode(ca.Function("step", [symbols[0], row, *unused], dense), 0)
+        step = ca.Function("step", [symbols[0], row, sizes], dense[:2])
+        self._block = step.mapaccum(BLOCK)
 
-    def interpreted(self, state: Array, rows: Array) -> Array:
+    def interpreted(self, state: Array, rows: Array, sizes: Array) -> Array:
         """(N, n n + m n) of rows (N, .) of a process, by CasADi."""
         N = len(rows)
         # The last block is filled up with its last sample.
         filled = np.concatenate([rows, np.broadcast_to(rows[-1:], (-N % BLOCK, rows.shape[1]))])
         found = []
         for first in range(0, N, BLOCK):
-            states, out = self._block(state, filled[first : first + BLOCK].T)
+            states, out = self._block(
+                state, filled[first : first + BLOCK].T, np.tile(sizes[:, None], BLOCK)
+            )
             state = states[:, -1]
             found.append(out.full().T)
         return np.concatenate(found)[:N]
 
 
 @lru_cache(maxsize=16)
-def recursion(m: int, n: int) -> _Recursion:
-    """The recursion of m states and n outputs, written out once."""
-    return _Recursion(m, n)
+def recursion(m: int, n: int, q: int) -> _Recursion:
+    """The recursion of m states, n outputs and q driving noises, written out once."""
+    return _Recursion(m, n, q)
 
 
 class PartialVarying:
@@ -265,26 +287,50 @@ def varying_innovations(
         If the covariance of a sample is not positive definite.
     """
     moving = [n for n in steps.sources if source_sd.get(n, 0.0) > 0.0]
+    process = process_of(steps, moving, spectra, weights)
+    return VaryingInnovations(process.under(output_sd * weights, source_sd), used)
+
+
+def process_of(
+    steps: Steps,
+    moving: Sequence[str],
+    spectra: Mapping[str, DisturbanceSpectrum],
+    weights: Array,
+) -> Process:
+    """What `moving` sources of unit size drive in outputs times `weights`, without their own noise.
+
+    Parameters
+    ----------
+    spectra : of the sources that are not white.
+    """
     names = [n for n in moving if n in spectra]
+    white = [n for n in moving if n not in spectra]
     places = [steps.sources.index(n) for n in names]
-    F, V, h = _of_sources([_form(source_sd[n], spectra[n], steps.Ts) for n in names])
+    forms = [_form(spectra[n], steps.Ts) for n in names]
+    F, half, h = _of_sources(forms)
     N, nx, ns = len(steps.a), steps.a.shape[1], len(F)
     a = np.zeros((N, nx + ns, nx + ns))
     ahead = steps.b1[:, :, places] @ h
     a[:, :nx, :nx], a[:, nx:, nx:] = steps.a, F
     a[:, :nx, nx:] = steps.b0[:, :, places] @ h + ahead @ F
-    enters = np.concatenate([ahead, np.broadcast_to(np.eye(ns), (N, ns, ns))], axis=1)
-    Q = enters @ V @ enters.swapaxes(1, 2)
     c = np.concatenate([steps.c, steps.d[:, :, places] @ h], axis=2) * weights[:, None]
-    R = np.broadcast_to(np.diag((output_sd * weights) ** 2), (N, *c.shape[1:2] * 2))
-    white = [n for n in moving if n not in spectra]
-    moves, shows = _of_white(steps, white, np.array([source_sd[n] for n in white]))
-    moves = np.concatenate([moves, np.zeros((N, ns, len(white)))], axis=1)
-    shows = shows * weights[:, None]
-    Q = Q + moves @ moves.swapaxes(1, 2)
-    R = R + shows @ shows.swapaxes(1, 2)
-    before = _before(a.mean(axis=0), Q.mean(axis=0), N)
-    return VaryingInnovations(Process(a, c, Q, R, moves @ shows.swapaxes(1, 2), before), used)
+    moves, shows = _of_white(steps, white)
+    enters = np.zeros((N, nx + ns, ns + len(white)))
+    enters[:, :nx, :ns], enters[:, nx:, :ns], enters[:, :nx, ns:] = ahead @ half, half, moves
+    shows = np.concatenate([np.zeros((N, len(weights), ns)), shows * weights[:, None]], axis=2)
+    sources = [name for name, (f, _, _) in zip(names, forms, strict=True) for _ in f]
+    along = enters.transpose(2, 1, 0)
+    return Process(
+        a,
+        c,
+        enters,
+        shows,
+        sources=(*sources, *white),
+        average=a.mean(axis=0),
+        driven=along @ along.swapaxes(1, 2) / N,
+        variances=np.ones(ns + len(white)),
+        white=np.zeros(len(weights)),
+    )
 
 
 def smoothed_sources(
@@ -318,39 +364,42 @@ def smoothed_sources(
     return out
 
 
-def _of_white(steps: Steps, names: Sequence[str], sd: Array) -> tuple[Array, Array]:
+def _of_white(steps: Steps, names: Sequence[str]) -> tuple[Array, Array]:
     """Effect of white sources on the next state (N, nx, w), and on outputs at once (N, n, w).
 
     Of the state less what they move before a sample. The first is moved as the second is.
     """
     places = [steps.sources.index(n) for n in names]
-    before = steps.b1[:, :, places] * sd
+    before = steps.b1[:, :, places]
     before = np.concatenate([before[:1], before[:-1]])
-    moves = steps.a @ before + steps.b0[:, :, places] * sd
-    return moves, steps.c @ before + steps.d[:, :, places] * sd
+    return (
+        steps.a @ before + steps.b0[:, :, places],
+        steps.c @ before + steps.d[:, :, places],
+    )
 
 
 def _of_sources(forms: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
-    """F (ns, ns), the covariance (ns, ns) of v, and h (sources, ns) of all sources together."""
+    """F (ns, ns), a root (ns, ns) of the covariance of v, and h (sources, ns) of all together."""
     ns = sum(len(f) for f, _, _ in forms)
-    F, V, h, first = np.zeros((ns, ns)), np.zeros((ns, ns)), np.zeros((len(forms), ns)), 0
-    for j, (f, v, out) in enumerate(forms):
+    F, half, h, first = np.zeros((ns, ns)), np.zeros((ns, ns)), np.zeros((len(forms), ns)), 0
+    for j, (f, root, out) in enumerate(forms):
         own = slice(first, first + len(f))
-        F[own, own], V[own, own], h[j, own] = f, v, out
+        F[own, own], half[own, own], h[j, own] = f, root, out
         first += len(f)
-    return F, V, h
+    return F, half, h
 
 
-def _form(sd: float, spectrum: DisturbanceSpectrum, Ts: float) -> tuple[Array, Array, Array]:
-    """F, the covariance of v, and h of one source with a spectrum, sampled."""
+def _form(spectrum: DisturbanceSpectrum, Ts: float) -> tuple[Array, Array, Array]:
+    """F, a root of the covariance of v, and h of one source of unit size, sampled."""
     w = spectrum.frequency
     if spectrum.damping is None:
         f = np.exp(-w * Ts)
-        return np.array([[f]]), np.array([[sd**2 * (1 - f**2)]]), np.ones(1)
+        return np.array([[f]]), np.array([[np.sqrt(1 - f**2)]]), np.ones(1)
     F = expm(Ts * np.array([[0.0, w], [-w, -2 * spectrum.damping * w]]))
     # Both states of an oscillator that white noise drives have one variance, and nothing in common.
+    values, vectors = np.linalg.eigh(np.eye(2) - F @ F.T)
     h = np.array([0.0, 1.0] if spectrum.is_band else [1.0, 0.0])
-    return F, sd**2 * (np.eye(2) - F @ F.T), h
+    return F, vectors * np.sqrt(np.maximum(values, 0.0)), h
 
 
 def _before(a: Array, Q: Array, samples: int) -> Array:

@@ -17,12 +17,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.errors_in_variables.thresholds import VARYING_RESPONSE
 from casid.estimation.noise.noise_model import NoiseModel, Variance
 from casid.estimation.noise.noise_response import Steps, joined_steps
 from casid.estimation.noise.variances import known_sources
-from casid.estimation.noise.varying_innovations import VaryingInnovations, varying_innovations
+from casid.estimation.noise.varying_innovations import (
+    VaryingInnovations,
+    process_of,
+    varying_innovations,
+)
 from casid.estimation.noise.whittle_scoring import At, impossible, minimum
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -38,7 +42,7 @@ def filters_along(
     data : whose samples count; default all.
     """
     of = noise.output_sd, noise.source_sd, noise.spectra, noise.weights
-    used = [None if d.used.all() else d.used for d in data] or [None] * len(steps)
+    used = [_where_missing(d) for d in data] or [None] * len(steps)
     with np.errstate(all="ignore"):
         try:
             return [
@@ -115,7 +119,10 @@ class _Likelihood:
         criterion: SimulationError,
         residuals: Sequence[Array],
     ) -> None:
-        self.noise, self.steps, self.data = noise, steps, criterion.data
+        self.noise, self.data = noise, criterion.data
+        moving = [n for n, sd in noise.source_sd.items() if sd > 0.0]
+        joined = [joined_steps(s, noise.spectra) for s in steps]
+        self.processes = [process_of(s, moving, noise.spectra, noise.weights) for s in joined]
         self.columns = weighted(noise, self.data, residuals)
         outputs, stated = criterion.outputs, known_sources(noise.known, criterion.model)
         self.outputs = [i for i, n in enumerate(outputs) if n not in noise.known]
@@ -178,12 +185,23 @@ class _Likelihood:
 
     def _innovations(self, z: Array) -> list[tuple[Array, Array]]:
         """e (N, ny) and -log s of each experiment; none where the filters diverge."""
-        filters = filters_along(self.scaled(z), self.steps, self.data)
+        at = self.scaled(z)
+        sizes, out = (at.output_sd * at.weights, at.source_sd), []
         with np.errstate(all="ignore"):
-            return [
-                (of.whiten(columns)[:, :, 0], of.log_roots)
-                for of, columns in zip(filters or (), self.columns, strict=filters is not None)
-            ]
+            try:
+                for process, d, columns in zip(
+                    self.processes, self.data, self.columns, strict=True
+                ):
+                    of = VaryingInnovations(process.under(*sizes), _where_missing(d))
+                    out.append((of.whiten(columns)[:, :, 0], of.log_roots))
+            except np.linalg.LinAlgError:
+                return []
+        return out
+
+
+def _where_missing(data: Signals) -> BoolArray | None:
+    """(N, ny) the samples that there are; None where none lacks."""
+    return None if data.used.all() else data.used
 
 
 def _value(innovations: Sequence[tuple[Array, Array]]) -> float:

@@ -50,7 +50,7 @@ def moved(of: VaryingInnovations) -> tuple[np.ndarray, np.ndarray]:
     The first state is that of the filter, and what the white source at the first sample moves.
     """
     s = steps()
-    P, by_white = of.process.P, s.b1[0, :, 0]
+    P, by_white = of.process.before, s.b1[0, :, 0]
     start = np.zeros((2, 4))  # what it has in common with itself and with the first sources
     start[:, :2] = P[:2, :2] + WHITE**2 * np.outer(by_white, by_white)
     start[:, 2], start[:, 3] = WHITE**2 * by_white, P[:2, 2]
@@ -139,7 +139,7 @@ def test_a_variance_below_zero_is_refused(
     filtered_by(way, monkeypatch, tmp_path)
     process = found().process
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-        VaryingInnovations(replace(process, R=-1e6 * process.R))
+        VaryingInnovations(replace(process, white=-1e6 * process.white))
 
 
 def test_the_transpose_is_that_of_the_filter():
