@@ -23,6 +23,7 @@ from casid.diagnosis.evidence.recorded_channels import with_unused_columns
 from casid.diagnosis.search.findings import Findings, search_causes
 from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
 from casid.diagnosis.thresholds import BUDGET
+from casid.diagnosis.verdict.ended_changes import may_be_over
 from casid.diagnosis.verdict.judgement import (
     Judgement,
     errs_in_held_out_alone,
@@ -205,12 +206,16 @@ def _judged_or_whole(
 ) -> tuple[Findings, Judgement, list[str]]:
     """Findings with their verdict; those of whole records where what was held out alone errs.
 
+    Or where it refuses a change that explains all that was fitted, and may be over there.
+
     These count where their causes are more, or other ones that leave noise of all of it: the first
     ones fit their part and fail in the rest. A note says then that nothing is held out. The level
     is that of the search, calibrated or not.
     """
     judged = _judged(problem, found, settings)
-    if split.apart or not errs_in_held_out_alone(found, judged):
+    if split.apart:
+        return found, judged, []
+    if not (errs_in_held_out_alone(found, judged) or may_be_over(found, settings.fit)):
         return found, judged, []
     settings.progress("diagnose the whole record: what was held out differs from what was fitted")
     try:

@@ -145,6 +145,18 @@ def test_an_actuator_that_loses_its_effect_for_a_while_gets_it_back():
 
 
 @pytest.mark.slow
+def test_a_load_may_be_taken_off_where_the_record_is_held_out():
+    """No fitted sample shows its end: what was held out refuses a load that stays."""
+    part = record(load=0.2 * ((T >= 8.0) & (T < 16.5))).between(0.0, 20.0)
+    found = casid.diagnose(slide(), part, advise=False, starts=1, without=FEW)
+    cause = only(found)
+    size, *times = cause.parameters
+    assert (cause.kind, cause.where) == ("offset", "force")
+    assert size.value == pytest.approx(0.2, abs=4 * size.std_error)
+    assert [t.value for t in times] == pytest.approx([8.0, 16.5], abs=2 * TS)
+
+
+@pytest.mark.slow
 def test_a_sensor_whose_scale_changes_shows_all_that_it_shows_larger_from_then_on():
     found = casid.diagnose(slide(), record(shown=1 + 0.05 * (T >= 17.0)), advise=False)
     assert_gain(found, "position", 0.05, 17.0)
