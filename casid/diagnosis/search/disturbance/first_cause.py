@@ -13,13 +13,16 @@ from dataclasses import dataclass
 
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.disturbance.disturbance_price import under_likelier_disturbance
-from casid.diagnosis.search.refinement import weighed_whole, whole_fit
+from casid.diagnosis.search.powers_of_signals import with_better_powers
+from casid.diagnosis.search.refinement import Adoption, Refinement, weighed_whole, whole_fit
 from casid.diagnosis.search.rounds import Search, scores_to_refit
+from casid.diagnosis.search.selection import POWERS
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.parameter_effects import is_scheduled_by_state
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +62,15 @@ def seen_beside_disturbance(
         return None
     units, values = base.criterion.weights, best.fit.values
     fit = whole_fit(best.model, baseline.split, settings.refit, units, values)
-    return EffectsBesideDisturbance(bare, found, leaves_noise(search, fit, settings))
+    is_alone = leaves_noise(search, fit, settings)
+    if not is_alone and is_scheduled_by_state(best.effect):
+        # The law was chosen beside the disturbance, which is what the right one leaves none of.
+        at = weighed_whole(search.weighing, fit, settings.refit)[1]
+        refine = Refinement(search, baseline.split, settings.refit, units, baseline.start, base)
+        by_own = Adoption((Adopted(best, 1.0, ()),), at, fit)
+        other = search.attempts.attempt(POWERS, lambda: with_better_powers(refine, by_own))
+        is_alone = other is not None and not other.at.noise_absorbs_misfit
+    return EffectsBesideDisturbance(bare, found, is_alone)
 
 
 def leaves_noise(search: Search, fit: Fit, settings: DiagnosisSettings) -> bool:
