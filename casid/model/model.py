@@ -114,8 +114,8 @@ class Model(NamedQuantities, Viewed):
         """State that inertia * d(rate)/dt = sum(terms); missing effects enter such balances.
 
         `unit` of the terms, any of their dimension, in which what acts there is shown; by default
-        that of a term that is a signal, of an angle's rate with the inertia 1 its own unit over s,
-        else the SI unit that most terms and inertia times d(rate)/dt have.
+        that of a term that is a signal, or of a balance stated before, of an angle's rate with the
+        inertia 1 its own unit over s, else the SI unit of most terms and inertia times d(rate)/dt.
         """
         state = self._state_name(rate)
         self._once(state)
@@ -445,13 +445,13 @@ class Model(NamedQuantities, Viewed):
         return {n: u for n, u in named.items() if n not in taken} | self.declared_units
 
     def _unit_of_signal(self, terms: Sequence[Expr], si: str) -> str:
-        """The declared unit of the first term that is a signal as it is; `si` where none is."""
+        """That of the first term that is a signal as it is, of another balance, or `si`."""
         for term in terms:
             bare = term.dep(0) if term.is_op(ca.OP_NEG) else term
             name = bare.name() if bare.is_symbolic() else ""
             if name in self._symbols and same_dimension(self.unit_of(name), si):
                 return self.unit_of(name)
-        return si
+        return next((b.declared for b in self.balances.values() if b.declared and b.unit == si), si)
 
     def _once(self, name: str) -> None:
         if name in self._rates or any(b.rate == name for b in self.balances.values()):

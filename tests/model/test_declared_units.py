@@ -175,6 +175,17 @@ def test_the_unit_of_a_law_follows_from_force_and_coordinate(
     assert found is None or same_dimension(found, si)
 
 
+def test_a_balance_without_a_signal_is_shown_as_one_stated_before_it():
+    """What flows between two compartments is shown in the unit of what flows into the first."""
+    m = Model("two compartments")
+    c1, c2, rate = m.state("c1", "mg/L"), m.state("c2", "mg/L"), m.input("rate", "mg/h")
+    V, Q = m.parameter("V", "L", start=10.0), m.parameter("Q", "L/h", start=5.0)
+    m.balance(c1, "central", inertia=V, terms=[rate, -Q * (c1 - c2)])
+    m.balance(c2, "peripheral", inertia=V, terms=[Q * (c1 - c2)])
+    m.output("conc", c1, "mg/L")
+    assert [b.shown_unit for b in m.balances.values()] == ["mg/h", "mg/h"]
+
+
 def test_a_derivative_alone_in_a_balance_has_no_unit_of_its_own():
     m = Model("coupled")
     r, p = m.state("r", "deg/s"), m.state("p", "deg/s")
