@@ -149,7 +149,7 @@ class Doubts:
     Attributes
     ----------
     is_more_than_noise : the test of the remainder finds that it is no noise.
-    disagreements : a sentence for each parameter on which the records disagree.
+    disagreements : a sentence for each parameter on which the records disagree, the worst first.
     bounds : parameters that the fit holds at a bound, where they decide the verdict; in words.
     """
 
@@ -164,8 +164,13 @@ class Doubts:
         if self.is_more_than_noise:
             said.append("the remainder is not random")
         if self.disagreements:
-            said.append("the records disagree on a parameter by more than their errors")
+            said.append(self.worst)
         return ", and ".join(said)
+
+    @property
+    def worst(self) -> str:
+        """On what the records disagree most, without the numbers; empty where on nothing."""
+        return self.disagreements[0].partition(" (")[0] if self.disagreements else ""
 
 
 NO_DOUBTS = Doubts()

@@ -342,7 +342,9 @@ def verdict_sentence(
         named = any(c.parameters for c in causes)
         what = "the named causes" if named else "the nearest effect of the catalogue"
     untested = f" Nothing else was tested: {why_untested}." if why_untested else ""
-    return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}{untested}"
+    worst = doubts.worst
+    apart = f" Beside that, {worst}." if worst else ""
+    return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}{apart}{untested}"
 
 
 def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) -> str:

@@ -412,7 +412,9 @@ def test_a_bias_that_grows_is_another_effect_than_a_constant_one():
 
 SPIKES = Cause("outliers", "gyro", 1e-9, (Estimated("share", 0.01, "1"),), sentence="it has spikes")
 ALONE = replace(NAMED, alternatives=())
-DISAGREE = Doubts(disagreements=("the records disagree on k",))
+DISAGREE = Doubts(
+    disagreements=("the records disagree on k by more than their errors (chi^2 is 9 times ...",)
+)
 UNEXPLAINED = Doubts(is_more_than_noise=True)
 
 
@@ -443,11 +445,18 @@ def test_records_that_disagree_on_what_was_named_are_diagnosed_apart_first():
         assert apart == f"{first}: {DISAGREE.said}. {together}"
 
 
+def test_on_what_records_disagree_is_said_beside_what_was_named():
+    """Spikes in one of two records are not all that is wrong where another parameter fits each."""
+    text = verdict_sentence("deficient", [SPIKES], {}, "", pendulum.problem, doubts=DISAGREE)
+    assert text.startswith("It has spikes. Beside that, the records disagree on k by more than")
+    assert "disagree" not in verdict_sentence("deficient", [SPIKES], {}, "", pendulum.problem)
+
+
 @pytest.mark.parametrize(
     ("doubts", "said", "todo"),
     [
         (UNEXPLAINED, "but the remainder is not random.", "Use the model with care"),
-        (DISAGREE, "but the records disagree on a parameter by", "Diagnose each record by itself"),
+        (DISAGREE, "but the records disagree on k by", "Diagnose each record by itself"),
     ],
 )
 def test_what_contradicts_the_model_is_said_where_no_cause_was_found(
