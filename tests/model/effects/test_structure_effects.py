@@ -31,7 +31,6 @@ N = 700
 T = TS * np.arange(N)
 M, D, K = 2.0, 1.5, 50.0
 COMMAND = np.repeat(np.random.default_rng(4).standard_normal(N // 14), 14)
-COMMAND[:14] = 0.0  # at rest, as the oscillator is
 SIZES = Sizes({"x": 0.1, "v": 1.0}, {}, (0.0, N * TS), 0.1)
 
 
