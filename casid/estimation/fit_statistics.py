@@ -19,12 +19,7 @@ def poor_fit_text(fits: Mapping[str, Mapping[str, float]]) -> str:
     ----------
     fits : record -> output -> fit [%].
     """
-    poor = [
-        f"{output} in {record} ({fit:.3g} %)"
-        for record, by_output in fits.items()
-        for output, fit in by_output.items()
-        if fit <= POOR
-    ]
+    poor = poor_outputs(fits)
     if not poor:
         return ""
     return (
@@ -32,6 +27,16 @@ def poor_fit_text(fits: Mapping[str, Mapping[str, float]]) -> str:
         "simulation and measurement agree, 0 % for the mean. Check signs, units and mapping of "
         "the channels; the parameters mean little"
     )
+
+
+def poor_outputs(fits: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Outputs that the model explains next to nothing of, with their records and fits."""
+    return [
+        f"{output} in {record} ({fit:.3g} %)"
+        for record, by_output in fits.items()
+        for output, fit in by_output.items()
+        if fit <= POOR
+    ]
 
 
 def rms(error: Array) -> Array:

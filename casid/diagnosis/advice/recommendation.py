@@ -59,16 +59,17 @@ def recommend(
     if plan:
         what = "the plan of an experiment that separates tied causes"
         planned = attempt(what, lambda: _planned(problem, found, judged.causes))
+    of_samples, verdict = _without_samples(judged)
     if base.negated is not None:
         text = base.negated.remedy
-    elif judged.doubts.bounds and judged.verdict == "undecided":
-        text = bound_advice(problem, judged.doubts.bounds)
-    elif judged.verdict == "undecided" and base.is_fitted and _is_poor(judged.baseline):
-        text = _CHECK_CHANNELS
+    elif judged.doubts.bounds and verdict == "undecided":
+        text = of_samples + bound_advice(problem, judged.doubts.bounds)
+    elif verdict == "undecided" and base.is_fitted and _is_poor(judged.baseline):
+        text = of_samples + _CHECK_CHANNELS
     elif planned is not None:
         text = planned.sentence
-    elif judged.verdict == "adequate" and any(d.is_dominant for d in judged.disturbances):
-        text = _apart(judged.doubts)
+    elif verdict == "adequate" and any(d.is_dominant for d in judged.disturbances):
+        text = of_samples + _apart(judged.doubts) + _check_poor(judged.doubts)
         text += disturbance_advice(problem.model, judged.disturbances[0])
     else:
         decides = decisive(judged.fitted, judged.held_out)
@@ -95,6 +96,16 @@ def recommend(
         proposals=planned.proposals if planned is not None else (),
         notes=by_others(undetectable, judged.causes),
     )
+
+
+def _without_samples(judged: Judgement) -> tuple[str, Verdict]:
+    """What to do about samples that are wrong, and the verdict without them.
+
+    A faulty sample says nothing of the model: what to do about that is the same as without it.
+    """
+    if not judged.causes or any(c.kind not in OF_SAMPLES for c in judged.causes):
+        return "", judged.verdict
+    return f"{_CORRECT} ", "undecided" if judged.why_undecided else "adequate"
 
 
 def _undetectable(problem: Problem, found: Findings, table: ScoreTable) -> tuple[Undetectable, ...]:
@@ -159,6 +170,11 @@ _CHECK_CHANNELS = (
     "Check signs, units and the mapping of the channels, then diagnose again: the model explains "
     "next to nothing of this record."
 )
+
+
+def _check_poor(doubts: Doubts) -> str:
+    """What to check first where a disturbance explains what the model does not."""
+    return f"{_CHECK_CHANNELS} " if doubts.poor else ""
 
 
 def _is_poor(baseline: Estimate) -> bool:
@@ -300,15 +316,19 @@ def disturbance_advice(model: Model, d: Disturbance) -> str:
 
 
 def bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:
-    """What to do about a parameter that the fit holds at its bound."""
-    name = next(iter(bounds))
-    p = problem.model.parameters[name.partition("@")[0]]
-    lower, upper = (problem.model.shown(p.name, end) for end in (p.lower, p.upper))
+    """What to do about parameters that the fit holds at their bounds."""
+    names = list(dict.fromkeys(name.partition("@")[0] for name in bounds))
+    ranges = []
+    for name in names:
+        p = problem.model.parameters[name]
+        lower, upper = (problem.model.shown(name, end) for end in (p.lower, p.upper))
+        ranges.append(f"lower={lower:g}, upper={upper:g} of {name}")
+    given = " and ".join(f"--set {name}=VALUE" for name in names)
     return (
         "A wrong sign or unit of a channel drives a parameter to its bound: check signs, units and "
         "the mapping of the channels (casid.identification.signs_from_moments.sign_flips tests "
         "each sign). "
-        f"Where they are right and the bound is not physical, widen it (lower={lower:g}, "
-        f"upper={upper:g} of {p.name} in the problem file); where it is, give {p.name} that "
-        f"value (--set {p.name}=VALUE) and diagnose again."
+        f"Where they are right and the bound is not physical, widen it ({'; '.join(ranges)} in the "
+        f"problem file); where it is, give {' or '.join(names)} that value ({given}) and diagnose "
+        "again."
     )

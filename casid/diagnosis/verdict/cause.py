@@ -151,11 +151,13 @@ class Doubts:
     is_more_than_noise : the test of the remainder finds that it is no noise.
     disagreements : a sentence for each parameter on which the records disagree, the worst first.
     bounds : parameters that the fit holds at a bound, where they decide the verdict; in words.
+    poor : outputs that the model explains next to nothing of, each with its fit.
     """
 
     is_more_than_noise: bool = False
     disagreements: tuple[str, ...] = ()
     bounds: Mapping[str, str] = field(default_factory=dict, hash=False)
+    poor: tuple[str, ...] = ()
 
     @property
     def said(self) -> str:
@@ -165,6 +167,8 @@ class Doubts:
             said.append("the remainder is not random")
         if self.disagreements:
             said.append(self.worst)
+        if self.poor:
+            said.append(f"the model explains next to nothing of {', '.join(self.poor)}")
         return ", and ".join(said)
 
     @property

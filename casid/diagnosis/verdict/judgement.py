@@ -47,7 +47,7 @@ from casid.diagnosis.verdict.remainder import (
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.diagnosis.verdict.unnamed_alternatives import unnamed_alternatives
 from casid.estimation.estimate import Estimate, RecordView
-from casid.estimation.fit_statistics import poor_fit_text
+from casid.estimation.fit_statistics import poor_fit_text, poor_outputs
 from casid.estimation.holdout import validation
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.record_agreement import disagreements
@@ -129,7 +129,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = _unlike(found, fitted, held, baseline, beside)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
-    doubts = _doubts(found, remainder, bounds)
+    doubts = _doubts(found, remainder, bounds, extended or baseline)
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
@@ -273,6 +273,7 @@ def _remaining(
         noise=NoiseFound(
             estimate.fit.coloured,
             is_random=is_random and remainder is not None and bool(remainder.disturbances),
+            is_poor=bool(_left_to_disturbances(found, remainder, estimate)),
             is_of_inputs=_has_input_noise(found.at),
             chance=chance,
             held_out=over_floors(held) if part is fitted else {},
@@ -290,14 +291,30 @@ def _has_input_noise(at: Weighted) -> bool:
     )
 
 
-def _doubts(found: Findings, remainder: Remainder | None, bounds: Mapping[str, str]) -> Doubts:
+def _doubts(
+    found: Findings, remainder: Remainder | None, bounds: Mapping[str, str], estimate: Estimate
+) -> Doubts:
     """The doubts: contradictions of the model, named or not."""
     weigh = None if found.corrected is None else found.corrected.weigh
     apart = disagreements(found.best_fit, weigh) if not found.baseline.why_undecided else []
     is_more = (
         remainder is not None and remainder.p_value < remainder.level and not remainder.disturbances
     )
-    return Doubts(is_more, tuple(apart), bounds)
+    return Doubts(is_more, tuple(apart), bounds, _left_to_disturbances(found, remainder, estimate))
+
+
+def _left_to_disturbances(
+    found: Findings, remainder: Remainder | None, estimate: Estimate
+) -> tuple[str, ...]:
+    """Outputs that a disturbance moves, and the recorded inputs hardly.
+
+    It stands for whatever the model has wrong there. Without inputs a model has nothing else.
+    """
+    disturbances = remainder.disturbances if remainder is not None else ()
+    is_driven = any(u.kind in {"measured", "known"} for u in found.at.model.inputs.values())
+    if not is_driven or not any(d.is_dominant for d in disturbances):
+        return ()
+    return tuple(poor_outputs(estimate.fit.nrmse))
 
 
 def _undecided(
@@ -318,7 +335,8 @@ def _undecided(
         near = {n: said for n, said in bounds.items() if _is_near_bound(beside.unbiased, n)}
         bounds = near | _bounds_beyond_chance(problem, beside.unbiased, beside.unbiased)
     why = _why_undecided(found, unlike, beside, disturbances)
-    if why:
+    # A fit that is held at a bound leaves a large error, and says what to do about it.
+    if why and not (bounds and why == found.baseline.why_doubtful):
         return why, {}
     still = still_inputs(found.base_fit.criterion)
     if not bounds:

@@ -74,6 +74,7 @@ class NoiseFound:
     ----------
     coloured : output -> what its autocorrelated residual is like (`Agreement.coloured`).
     is_random : the remainder is a disturbance, and no deficiency of the model.
+    is_poor : it moves an output, and the recorded inputs hardly do.
     is_of_inputs : noise of measured inputs was found, which colours a residual.
     chance : output -> how far above the floor its error may be by chance (`chance_over_floor`).
     held_out : output -> the error of what was held out over its floor, where the errors that count
@@ -82,6 +83,7 @@ class NoiseFound:
 
     coloured: Mapping[str, str] = field(default_factory=dict)
     is_random: bool = False
+    is_poor: bool = False
     is_of_inputs: bool = True
     chance: Mapping[str, float] = field(default_factory=dict)
     held_out: Mapping[str, float] = field(default_factory=dict)
@@ -277,6 +279,11 @@ def _kind_of_remainder(
             "disturbance was larger there, or the model does not hold there."
         )
     if noise.is_random and (is_more or is_above):
+        if noise.is_poor:
+            return (
+                " The remainder passes for a random disturbance, but so would an error of the "
+                "model: it explains next to nothing itself."
+            )
         return " The remainder is a random disturbance, not an error of the model."
     if is_more:
         like = "more than noise" if above else "no larger than the noise, but it is not random"

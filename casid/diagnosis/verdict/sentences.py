@@ -15,7 +15,7 @@ from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
 from casid.model.effects.channel_effects import COURSES
-from casid.model.effects.effect import Effect
+from casid.model.effects.effect import OF_SAMPLES, Effect
 from casid.model.effects.names import (
     BESIDE_ITS_ZERO,
     CLAMP,
@@ -334,17 +334,30 @@ def verdict_sentence(
             text = f"N{text}, but {doubts.said}."
         else:
             text = f"Nothing in this record contradicts the model: n{text}."
-        said = "; ".join(d.sentence for d in disturbances)
-        return f"{text} {said[0].upper()}{said[1:]}." if said else text
+        return text + _says_disturbances(disturbances)
     text = _joined([_says_cause(c) for c in causes])
     what = "it" if len(causes) == 1 else "them"
     if not all(c.parameters for c in causes):
         named = any(c.parameters for c in causes)
         what = "the named causes" if named else "the nearest effect of the catalogue"
     untested = f" Nothing else was tested: {why_untested}." if why_untested else ""
-    worst = doubts.worst
-    apart = f" Beside that, {worst}." if worst else ""
+    apart = f" Beside that, {doubts.worst}." if doubts.worst else ""
+    if all(c.kind in OF_SAMPLES for c in causes) and not untested:
+        apart = _beside_samples(why_undecided, disturbances, doubts)
     return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}{apart}{untested}"
+
+
+def _says_disturbances(disturbances: Sequence[Disturbance]) -> str:
+    said = "; ".join(d.sentence for d in disturbances)
+    return f" {said[0].upper()}{said[1:]}." if said else ""
+
+
+def _beside_samples(why_undecided: str, disturbances: Sequence[Disturbance], doubts: Doubts) -> str:
+    """What is known of the model itself, where only samples of a sensor are wrong."""
+    if why_undecided:
+        return f" Whether the model is adequate without them is not known: {why_undecided}."
+    rest = f" They do not explain all: {doubts.said}." if doubts.said else ""
+    return rest + _says_disturbances([d for d in disturbances if d.is_dominant])
 
 
 def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) -> str:

@@ -70,3 +70,26 @@ def test_a_bound_that_chance_holds_forbids_no_verdict() -> None:
     found = casid.diagnose(casid.Problem("plate", model()), of, hold_out=0.0, advise=False)
     assert (found.verdict, found.causes) == ("adequate", ())
     assert "loss at its lower bound (0 1/(K s)), by no more than chance" in found.notes[-1]
+
+
+def test_bounds_that_hold_every_parameter_are_the_reason_and_not_the_errors_that_they_leave():
+    """An encoder at a step of a duty of 4 %, and a gain that may have a tenth of its size."""
+    gain, tau, rest = 56000.0, 0.15, 0.03  # 1/s, s, s before the step
+    t = 0.005 * np.arange(231)
+    run = np.maximum(t - rest, 0.0)
+    angle = np.round(0.04 * gain * (run - tau * (1 - np.exp(-run / tau))))
+    m = casid.Model("wheel")
+    u = m.input("u", "%", hold="zoh", known=True)
+    a, w = m.state("a", "rad"), m.state("w", "rad/s")
+    lag = m.parameter("tau", "s", start=0.2, lower=0.01, upper=5.0)
+    K = m.parameter("K", "rad/s", start=1000.0, lower=0.0, upper=5600.0)
+    m.derivative(a, w)
+    m.balance(w, "drive", inertia=lag, terms=[K * u, -w])
+    m.output("angle", a, "rad")
+    channels = {"u": 0.04 * (t >= rest), "angle": angle}
+    record = casid.Record(channels, {"u": "1", "angle": "rad"}, Ts=0.005)
+    found = casid.diagnose(casid.Problem("wheel", m, starts=1), record, advise=False)
+    assert found.verdict == "undecided"
+    assert "K at its upper bound (5600 rad/s)" in found.sentence
+    assert "upper=5600 of K" in found.advice
+    assert "Record longer" not in found.advice

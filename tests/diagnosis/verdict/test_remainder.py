@@ -136,6 +136,13 @@ def test_what_a_random_disturbance_leaves_is_no_unexplained_misfit():
     assert "unexplained" not in r.sentence
 
 
+def test_a_disturbance_beside_a_model_that_explains_nothing_may_as_well_be_its_error() -> None:
+    part = {"baseline_rmse": {"gyro": 1.6}, "noise_floor": {"gyro": 1.0}}
+    r = what_remains([], part, p_value=1e-6, noise=NoiseFound(is_random=True, is_poor=True))
+    assert "but so would an error of the model" in r.sentence
+    assert "not an error of the model" not in r.sentence
+
+
 @pytest.mark.parametrize(
     ("held", "is_said"), [({}, False), ({"y": 1.4}, False), ({"y": 3.7}, True)]
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +14,7 @@ import casid
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
+from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Doubts, Ranked
 from casid.diagnosis.verdict.gain import changes, improves
 from casid.diagnosis.verdict.sentences import (
@@ -472,6 +474,23 @@ def test_what_contradicts_the_model_is_said_where_no_cause_was_found(
         assert "othing in this record contradicts" not in each
         assert "may be used" not in each
     assert "nothing in this record contradicts" in advice("deficient", [SPIKES], (), "")
+
+
+WIND = Disturbance("torque", 0.3, "N m", 1.0)
+LEFT_TO_IT = Doubts(poor=("gyro in sea (11 %)",))
+
+
+def test_wrong_samples_do_not_hide_what_is_known_of_the_model_without_them() -> None:
+    """Spikes alone, and a disturbance that moves nine tenths of the output."""
+    told = partial(verdict_sentence, "deficient", [SPIKES], {})
+    alone = told("", pendulum.problem)
+    text = told("", pendulum.problem, [WIND], doubts=LEFT_TO_IT)
+    assert text.startswith(alone)
+    assert f"They do not explain all: {LEFT_TO_IT.said}." in text
+    assert "gyro in sea (11 %)" in LEFT_TO_IT.said
+    assert f"{WIND.sentence[1:]}." in text
+    bound = "the fit holds k at its lower bound (0 N m/rad)"
+    assert told(bound, pendulum.problem).endswith(f"without them is not known: {bound}.")
 
 
 def test_a_drift_says_between_which_instants_it_is_and_where_the_parameter_has_its_value():
