@@ -74,6 +74,9 @@ FEW_LEVELS = 10
 HELD = 3
 """Equal samples in a row, of nine levels in ten at least, of a channel that is held; a heuristic:
 readings with noise repeat by chance, on a coarse grid, and not so often."""
+GATHERS_SPEED = 2.7
+"""Distance after eight samples over that after four beyond which a motion began from rest; between
+the 7/3 of what leaves a limit and the 3 of what gathers speed, see `_rests_at_an_end`."""
 _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
@@ -166,7 +169,8 @@ def _constant(name: str, value: float, unit: str) -> Finding:
         "warning",
         name,
         f"{_CONSTANT} {value + 0.0:.6g}{_behind(unit)}.",
-        "It excites nothing: check the sensor or the mapping, or leave it out.",
+        "Right for an input that is held throughout, as after a step at its start; a sensor that "
+        "shows it is stuck: check it and the mapping, or leave it out.",
     )
 
 
@@ -182,7 +186,8 @@ def _equal_samples(
     value = x[plateau_start]
     # At zero no sun shines and no heater heats: the quantity ends there, not the sensor's range.
     is_cut_off = sudden and value != 0.0 and (step is None or jump > 1.5 * step)
-    if is_cut_off and plateau >= 4 and not few and not _rests_inside(x, mask, plateau):
+    rests = _rests_inside(x, mask, plateau) or _rests_at_an_end(x, plateau_start, plateau)
+    if is_cut_off and plateau >= 4 and not few and not rests:
         findings.append(
             Finding(
                 "warning",
@@ -336,6 +341,23 @@ def _rests_inside(x: FloatArray, mask: BoolArray, plateau: int) -> bool:
     inside = (level > np.nanmin(y)) & (level < np.nanmax(y)) & (level != 0.0)
     is_alike = _begins_suddenly(lengths, beside) & (2 * lengths >= plateau)
     return bool(np.any(inside & is_alike))
+
+
+def _rests_at_an_end(x: FloatArray, start: int, length: int) -> bool:
+    """True of a run at either end of a record beside which the motion gathers speed, from rest.
+
+    Eight samples on, a motion that gathers speed evenly is three to four times as far away as
+    after four: by (64 + 16 g) / (16 + 8 g), where its first g samples, up to two, were less than a
+    step of the readings. What comes out of a limit has its speed: it is (8 - f) / (4 - f) times as
+    far, 7/3 at most, with the share f of an interval that the limit held it yet.
+    """
+    if start == 0:
+        beyond = np.abs(x[length:] - x[0])
+    elif start + length == x.size:
+        beyond = np.abs(x[:start] - x[-1])[::-1]
+    else:
+        return False
+    return beyond.size >= 8 and bool(beyond[7] > GATHERS_SPEED * beyond[3])
 
 
 def _begins_suddenly(lengths: int | NDArray[np.intp], beside: int | NDArray[np.intp]) -> BoolArray:

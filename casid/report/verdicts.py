@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from casid.campaigns.monte_carlo import MonteCarlo
@@ -108,9 +108,13 @@ def _spoilt(e: Estimate) -> Iterator[tuple[str, str]]:
         )
     for text in e.suspects:
         yield f"{text[:1].upper()}{text[1:]}.".replace("..", "."), "Correct the channel, fit again."
-    poor = {k: v for k, v in _fits(e).items() if v <= POOR}
+    poor = [
+        f"{output} ({fit:.0f} %{', held out' * is_held_out})"
+        for output, (fit, is_held_out) in _fits(e).items()
+        if fit <= POOR
+    ]
     if poor:
-        listed = ", ".join(f"{k} ({v:.0f} %)" for k, v in poor.items())
+        listed = ", ".join(poor)
         yield (
             f"The model explains next to nothing of {listed}.",
             "Check signs, units and the mapping of the channels; then run casid diagnose to find "
@@ -129,7 +133,7 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
             "lacks.",
             "Run casid diagnose to find what the model is missing.",
         )
-    if (coloured or not e.whiteness) and any(v < GOOD_FIT for v in _fits(e).values()):
+    if (coloured or not e.whiteness) and any(v < GOOD_FIT for v, _ in _fits(e).values()):
         yield (
             f"The fit is below {GOOD_FIT:.0f} %: noise, disturbances or a missing effect account "
             "for the rest.",
@@ -177,22 +181,45 @@ def _poorly_determined(e: Estimate) -> Iterator[tuple[str, str]]:
         )
 
 
-def _fits(e: Estimate) -> dict[str, float]:
-    """Output -> its worst fit [%], held-out records included."""
-    worst: dict[str, float] = {}
-    for by_record in (e.nrmse_fit, e.held_out_fit):
+def _fits(e: Estimate) -> dict[str, tuple[float, bool]]:
+    """Output -> its worst fit [%], and whether that is of a held-out part or record."""
+    worst: dict[str, tuple[float, bool]] = {}
+    for by_record, is_held_out in ((e.nrmse_fit, False), (_held_out_fits(e), True)):
         for by_output in by_record.values():
             for output, fit in by_output.items():
-                if math.isfinite(fit):
-                    worst[output] = min(fit, worst.get(output, math.inf))
+                if math.isfinite(fit) and fit < worst.get(output, (math.inf, False))[0]:
+                    worst[output] = fit, is_held_out
     return worst
 
 
+def _held_out_fits(e: Estimate) -> dict[str, dict[str, float]]:
+    """The fit [%] of what was held out, by the larger spread of it and of its fitted record.
+
+    A decay ends at rest: by the spread that is left there, no model explains its end.
+    """
+    return {
+        record: {output: _by_larger_spread(e, record, output) for output in by_output}
+        for record, by_output in e.held_out_fit.items()
+    }
+
+
+def _by_larger_spread(e: Estimate, record: str, output: str) -> float:
+    held = e.held_out_rmse.get(record, {}).get(output, math.nan), e.held_out_fit[record][output]
+    fitted = (part.get(record, {}).get(output, math.nan) for part in (e.rmse, e.nrmse_fit))
+    spreads = [rmse / (1 - fit / 100) for rmse, fit in (held, tuple(fitted)) if fit < 100]
+    if not spreads or not math.isfinite(held[0]):
+        return held[1]
+    return max(held[1], 100 * (1 - held[0] / max(spreads)))
+
+
 def _fit_text(e: Estimate) -> str:
-    fits: Mapping[str, float] = _fits(e)
+    fits = _fits(e)
     if not fits:
         return "The fit converged."
-    listed = ", ".join(f"{output} to {fit:.3g} %" for output, fit in fits.items())
+    listed = ", ".join(
+        f"{output} to {fit:.3g} %{' (held out)' * is_held_out}"
+        for output, (fit, is_held_out) in fits.items()
+    )
     return f"The model reproduces {listed}."
 
 

@@ -101,6 +101,27 @@ def test_the_highest_rest_of_a_profile_of_ramps_is_no_clipping():
     assert any("clipped" in t for t in texts(check(record(noisy))))
 
 
+LET_GO = 0.7 - np.round(3e4 * np.clip(TIME[:80] - 0.101, 0.0, None) ** 2) / 1e4
+CUT_OFF = np.minimum(np.sin(1.0 + 3.0 * TIME[:80]), 0.5)
+
+
+@pytest.mark.parametrize("end", [slice(None), slice(None, None, -1)])
+@pytest.mark.parametrize(("y", "is_clipped"), [(LET_GO, False), (CUT_OFF, True)])
+def test_motion_from_rest_gathers_speed_and_what_leaves_a_limit_has_its_speed(
+    y: np.ndarray, is_clipped: bool, end: slice
+) -> None:
+    """An arm that is let go, or comes to rest, and a wave at the end of the sensor's range."""
+    found = check(record(y[end]))
+    assert any("clipped" in t for t in texts(found)) is is_clipped
+
+
+def test_an_input_that_is_held_throughout_may_be_the_level_after_a_step():
+    held = check(record(smooth(), u=np.full(N, 50.0)))
+    (finding,) = [f for f in held.findings if f.channel == "u"]
+    assert (finding.severity, finding.text) == ("warning", "constant at 50.")
+    assert "as after a step at its start" in finding.remedy
+
+
 def test_the_flat_top_of_a_rounded_wave_is_no_clipping():
     assert not any("clipped" in t for t in texts(check(record(np.round(smooth(0.0), 3)))))
 

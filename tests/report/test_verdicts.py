@@ -67,6 +67,28 @@ def test_what_spoils_an_estimate_is_its_verdict(change, look, words):
     assert judged.advice
 
 
+@pytest.mark.parametrize(
+    ("rmse", "rest", "word", "said"),
+    [
+        # A cup cools by 15.8 K as it is fitted, and by 1.13 K more at the end that is held out.
+        (3.38, 1.13, "use with care", "gyro to 78.6 % (held out)"),
+        (14.2, 1.13, "do not use", "next to nothing of gyro (10 %, held out)"),
+        # A held-out record that moves by more is judged by its own motion.
+        (14.2, 31.6, "use with care", "gyro to 55.1 % (held out)"),
+    ],
+)
+def test_what_was_held_out_is_judged_by_the_motion_of_the_whole_record(
+    rmse: float, rest: float, word: str, said: str
+) -> None:
+    """100 (1 - rmse / spread), with the larger spread: by that of a rest nothing is explained."""
+    coloured = {"gyro": samples.whiteness_of(17)}
+    fitted = Agreement({"a": {"gyro": 1.3}}, {"a": {"gyro": 100 * (1 - 1.3 / 15.8)}}, coloured)
+    held = Agreement({"a": {"gyro": rmse}}, {"a": {"gyro": 100 * (1 - rmse / rest)}})
+    judged = judged_estimate(replace(good(), fit=fitted, held_out=held))
+    assert judged.word == word
+    assert said in judged.sentence
+
+
 def test_a_residual_that_may_be_autocorrelated_is_not_called_white():
     """Of instruments and equation errors: their error bars allow for it."""
     said = {"force": "whiteness: 20 of 20 lags outside 95 %"}

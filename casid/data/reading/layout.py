@@ -96,8 +96,13 @@ def layout_of(head: Sequence[str], tail: Sequence[str]) -> Layout:
         line = next(x for x in head if cells_of(x, " ") == layout.names)
         apart = re.split(r"\s{2,}", line.strip())
         layout.names = apart if len(apart) == layout.width else layout.names
-    if not layout.names:
-        layout.names = _commented_names(head[: layout.first], layout.width, separator)
+    commented = _commented_rows(head[: layout.first], layout.width, separator)
+    if not layout.names and commented:
+        # The last one, unless it has the units of names above it.
+        layout.names = next((row for row in commented if not _is_units(row)), commented[0])
+    if not layout.units:
+        rows = (row for row in commented if row != layout.names and _is_units(row))
+        layout.units = next(rows, [])
     return layout
 
 
@@ -234,14 +239,19 @@ def names_above(above: Sequence[str], layout: Layout) -> list[str]:
     return []
 
 
-def _commented_names(above: Sequence[str], width: int, separator: str) -> list[str]:
-    """Names in a line of comment, as `numpy.savetxt` writes them."""
+def _commented_rows(above: Sequence[str], width: int, separator: str) -> list[list[str]]:
+    """Lines of comment with a cell for each column, the last first: names, or their units.
+
+    `numpy.savetxt` writes names so, and who adds units below them often makes them a comment.
+    """
+    found = []
     for bare in _comments(above):
         for cut in (separator, ",", "\t", " "):
-            names = cells_of(bare, cut) if bare else []
-            if len(names) == width and not any(map(is_value, names)):
-                return names
-    return []
+            cells = cells_of(bare, cut) if bare else []
+            if len(cells) == width and not any(map(is_value, cells)):
+                found.append(cells)
+                break
+    return found
 
 
 def _comments(above: Sequence[str]) -> Iterator[str]:

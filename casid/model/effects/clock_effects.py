@@ -29,7 +29,13 @@ from casid.model.effects.parameter_effects import (
     since,
     step_at,
 )
-from casid.model.effects.place import a_constant, is_zero, recorded_inputs
+from casid.model.effects.place import (
+    a_constant,
+    a_quantity,
+    is_mechanical,
+    is_zero,
+    recorded_inputs,
+)
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
@@ -54,7 +60,9 @@ def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
     among the kinds; without it what rings on afterwards would be taken for a force that stays.
     """
     b = model.balances[balance]
-    J = Parameter(f"J_{balance}", unit_quotient(b.unit, "s", -1), 0.0)
+    unit = "J" if same_dimension(b.unit, "W") else unit_quotient(b.unit, "s", -1)
+    J = Parameter(f"J_{balance}", unit, 0.0)
+    what = "a knock, a force" if is_mechanical(b.unit) else a_quantity(b.unit)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         first, last = (new.add_input(step_at(t)) for t in (time, time + Ts))
@@ -69,7 +77,7 @@ def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
         variant=time,
         cost=PARAMETER_JUMPS.cost,
         shape=KNOCK,
-        description="a knock, a force that acts for an instant",
+        description=f"{what} that acts for an instant",
         constants={"time": time, "duration": Ts},
     )
 

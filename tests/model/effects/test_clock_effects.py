@@ -78,6 +78,22 @@ def test_a_knock_leaves_its_impulse_over_the_mass():
     assert got[T > AT + 2 * TS] == pytest.approx(0.5 / MASS)
 
 
+@pytest.mark.parametrize(
+    ("unit", "impulse", "words"),
+    [
+        ("N", "N s", "a knock, a force that acts for an instant"),
+        ("W", "J", "a heat flow that acts for an instant"),
+        ("V", "V s", "a voltage that acts for an instant"),
+    ],
+)
+def test_an_impulse_is_called_by_what_acts_for_an_instant(unit: str, impulse: str, words: str):
+    m = casid.Model("store")
+    z = m.state("z", "1")
+    m.balance(z, "store", inertia=1.0, terms=[m.input("f", unit)], unit=unit)
+    effect = knock(m, "store", AT, TS)
+    assert (effect.parameters[0].unit, effect.description) == (impulse, words)
+
+
 def test_a_bias_sets_in_at_its_instant_or_grows_from_nothing():
     stepped = speed(bias_step(cart(), "speed", AT).extend(cart()), bias_speed=0.2)
     assert stepped[T < AT - TS] == pytest.approx(0.0)

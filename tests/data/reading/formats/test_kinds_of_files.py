@@ -253,6 +253,12 @@ KINDS = [
     # ------------------------------------------------------------------ headers
     Kind("row of units", "t;F;phi\ns;N;°\n" + table(separator=";").partition("\n")[2],
          force="F", angle="phi", said="units from a row of units"),
+    Kind("row of units that is a comment",
+         table("t,F,phi").replace("\n", "\n#s,N,°\n", 1),
+         force="F", angle="phi", said="units from a row of units"),
+    Kind("names and units in comments",
+         table("# t,F,phi").replace("\n", "\n# s,N,°\n# from the second rig\n", 1),
+         force="F", angle="phi", said="units from a row of units"),
     Kind("units in full below the names, as oscilloscopes write them",
          "DSO\n\n" + table("x-axis,F,phi").replace("\n", "\nsecond,Newton,Degree\n", 1),
          force="F", angle="phi", said="units from a row of units"),
