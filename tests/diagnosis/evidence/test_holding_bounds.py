@@ -72,6 +72,7 @@ def test_a_bound_that_chance_holds_forbids_no_verdict() -> None:
     assert "loss at its lower bound (0 1/(K s)), by no more than chance" in found.notes[-1]
 
 
+@pytest.mark.slow
 def test_bounds_that_hold_every_parameter_are_the_reason_and_not_the_errors_that_they_leave():
     """An encoder at a step of a duty of 4 %, and a gain that may have a tenth of its size."""
     gain, tau, rest = 56000.0, 0.15, 0.03  # 1/s, s, s before the step
