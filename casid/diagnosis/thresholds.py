@@ -1076,6 +1076,12 @@ class Description:
         "what a sound sensor errs by",
         f"{TESTS}/verdict/test_wrong_units.py",
     )
+    gain: float = _is(
+        2.0,
+        "factor beyond which a sensor's gain is no error of its calibration",
+        f"{TESTS}/verdict/test_wrong_units.py",
+        "an amplifier with half or twice its gain is broken, or another one",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, SCORES
 from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.diagnosis.verdict.sentences import says, says_kind, says_rate_limit, why_alternative
-from casid.diagnosis.verdict.wrong_units import unit_mistaken
+from casid.diagnosis.verdict.wrong_units import said_of_gain
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
@@ -125,8 +125,8 @@ def _adopted(
     parameters = _parameters_of(adopted, estimate)
     sentence = says(effect, column.column if column is not None else "")
     if effect.kind == "sensor_scale" and not (effect.sets_in or effect.constants.get("about")):
-        mistaken = unit_mistaken(parameters[0], _unit(found.search, effect.where))
-        sentence += f", {mistaken}" if mistaken else ""
+        like = said_of_gain(parameters[0], _unit(found.search, effect.where))
+        sentence += f", {like}" if like else ""
     if effect.shape == RATE:
         sentence = says_rate_limit(effect.where, _rate_text(adopted.candidate, parameters))
     return Cause(

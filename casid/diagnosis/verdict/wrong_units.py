@@ -24,6 +24,25 @@ _CONFUSED = (
 """Units of one quantity that loggers use; the first is that of records."""
 
 
+def said_of_gain(scale: Estimated, unit: str) -> str:
+    """What a sensor's gain looks like: a mistaken unit, or none that a sensor has; else empty.
+
+    Parameters
+    ----------
+    scale, unit : as for `unit_mistaken`.
+    """
+    if mistaken := unit_mistaken(scale, unit):
+        return mistaken
+    gain = 1.0 + scale.value
+    if 1 / DESCRIPTION.gain <= abs(gain) <= DESCRIPTION.gain:
+        return ""
+    return (
+        f"which would show {gain:.3g} times what it measures: no unit that is often mistaken has "
+        "this factor, and a length, a gear ratio or the zero of an angle in the model is as likely "
+        "to be wrong"
+    )
+
+
 def unit_mistaken(scale: Estimated, unit: str) -> str:
     """Which unit was probably read as which other one, or an empty text.
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.verdict.wrong_units import unit_mistaken
+from casid.diagnosis.verdict.wrong_units import said_of_gain, unit_mistaken
 from casid.estimation.estimate import Estimated
 
 
@@ -74,3 +74,19 @@ def test_so_is_one_that_reads_a_small_part_of_it() -> None:
 )
 def test_only_ratios_of_units_are_called_so(scale: float, unit: str, words: str) -> None:
     assert unit_mistaken(Estimated("scale", scale, "1"), unit) == words
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        (-0.81, "would show 0.19 times what it measures: no unit that is often mistaken"),
+        (2.7, "would show 3.7 times what it measures"),
+        (180 / math.pi - 1, "as if deg had been read as rad"),
+        (-1.9, ""),  # a wrong sign, and a calibration that is off by a tenth
+        (0.3, ""),
+    ],
+)
+def test_a_gain_that_no_sensor_has_may_be_the_models_own_scale(scale: float, words: str) -> None:
+    said = said_of_gain(Estimated("scale", scale, "1"), "rad")
+    assert words in said
+    assert bool(said) == bool(words)
