@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 
 from casid.model.model import Model
-from casid.model.units import unit_quotient
+from casid.model.units import declared_quotient, times_in, unit_quotient
 
 
 def with_balances(model: Model) -> Model:
@@ -34,9 +34,20 @@ def with_balances(model: Model) -> Model:
     for state, rate in laws.items():
         del new._rates[state]
         name = state if state not in new.balances else new.free_name(state)
-        unit = unit_quotient(new.states[state].unit, "s")
+        unit = _unit_of_rate(new, state, rate)
         new.balance(new.symbol(state), name, inertia=1, terms=addends(rate), unit=unit)
     return new
+
+
+def _unit_of_rate(model: Model, state: str, rate: Any) -> str:
+    """A state's unit over the unit of time that the parameters of its law have, in SI where that
+    is the second, or none, or more than one."""
+    there = {s.name() for s in ca.symvar(ca.SX(rate))}
+    names = [n for n in model.parameters if model.symbol(n).name() in there]
+    times = {time for n in names for time in times_in(model.unit_of(n))}
+    if len(times) != 1 or times == {"s"}:
+        return unit_quotient(model.states[state].unit, "s")
+    return declared_quotient(model.unit_of(state), times.pop())
 
 
 def addends(side: Any) -> list[Any]:

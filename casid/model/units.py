@@ -447,6 +447,17 @@ def declared_quotient(unit: str, other: str, power: int = 1) -> str:
     return _divided(_terms(unit), _terms(other), power)
 
 
+def times_in(unit: str) -> set[str]:
+    """The units of time that a unit is written with: `mm/h` has h, `W` none.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
+    return {name for name, _ in _terms(unit) if NAMES[name].si == (("s", 1),)}
+
+
 def _divided(above: _Terms, below: _Terms, power: int | Fraction) -> str:
     """The text of a unit over a power of another one, both by their factors."""
     powers = {"1": Fraction(0)}

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
+from casid.model.effects.balance_effects import offset
 from casid.model.rate_laws import with_balances
 from casid.model.units import same_dimension
 
@@ -35,6 +36,28 @@ def test_the_law_is_a_balance_and_positions_and_integrals_are_not():
     assert m.position_of("v") == "x"
     assert len(m.balances["v"].terms) == 3
     assert same_dimension(m.balances["v"].unit, "m/s^2")
+
+
+@pytest.mark.parametrize(
+    ("of", "coefficient", "other", "shown"),
+    [
+        ("degC", "1/h", "1", "degC/h"),
+        ("mm", "1/day", "mm/day", "mm/day"),
+        ("mm", "1/s", "mm/s", "m/s"),
+        ("mm", "1/h", "mm/s", "m/s"),
+    ],
+)
+def test_a_law_is_shown_in_the_unit_of_time_of_its_parameters(
+    of: str, coefficient: str, other: str, shown: str
+) -> None:
+    m = casid.Model("store")
+    z, k = m.state("z", of), m.parameter("k", coefficient, start=0.1)
+    m.derivative(z, -k * z + (m.parameter("f", other) if other != "1" else 0.0))
+    m.output("z_m", z, of)
+    balanced = with_balances(m)
+    assert balanced.balances["z"].shown_unit == shown
+    extended, (name,) = offset(balanced, "z").extended(balanced)
+    assert extended.unit_of(name) == shown
 
 
 def test_the_equations_are_the_same_and_the_model_given_is_left_alone():

@@ -218,6 +218,7 @@ def _resolved(root: _Root, fit: Fit) -> _Root:
 
 
 _NO_ROOT = "the equations without it have no root near the fit"
+_ALL_HELD = "the equations without it lead every unknown to a bound"
 
 
 def _misfit(criterion: SimulationError, found: InputNoise) -> str:
@@ -336,6 +337,8 @@ class _Root:
         """Go to the root; a reason where there is none."""
         share, at_fit, steps = 0.0, self.found, _Steps(is_cautious)
         for k in range(steps.most):
+            if not self.free.any():
+                return _misfit(self.criterion, at_fit) or _ALL_HELD
             if k > 0 and not self._is_finite():
                 return _OVERFLOWS
             if k > 0:

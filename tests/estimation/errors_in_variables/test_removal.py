@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import casid
+from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.removal import _Root
+from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 from problems import pendulum
 from tests.support.shared import shared
@@ -45,3 +47,25 @@ def test_half_a_second_of_a_pendulum_is_identified_without_an_overflow():
         warnings.simplefilter("error", RuntimeWarning)
         found = casid.identify(pendulum.problem, part)
     assert found.is_converged
+
+
+def test_where_bounds_hold_every_unknown_there_is_no_root():
+    """Rain that says little of a river: the steps lead a store's rate and its share to a bound."""
+    rng = np.random.default_rng(4)
+    rain, flow = rng.exponential(2.0, 200), np.empty(200)
+    level = 20.0
+    for k in range(200):
+        flow[k] = 0.05 * level
+        level += 0.4 * rain[k] - flow[k]
+    m = casid.Model("river")
+    P, S = m.input("P", "1/s", hold="zoh"), m.state("S", "1", initial=20.0)
+    rate = m.parameter("rate", "1/s", start=0.05, lower=0.04, upper=0.06)
+    share = m.parameter("share", "1", start=0.4, lower=0.3, upper=0.5)
+    m.derivative(S, share * P - rate * S)
+    m.output("Q", rate * S, "1/s")
+    channels = {"P": rain, "Q": flow + 0.01 * rng.standard_normal(200)}
+    record = casid.Record(channels, {"P": "1/s", "Q": "1/s"}, Ts=1.0)
+    fit = fit_model(m, [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
+    found = input_noise(fit.criterion, fit.x, {})
+    root = _Root(fit, {}, np.array([False, False]), found, 0)
+    assert root.why_not == "the equations without it lead every unknown to a bound"

@@ -65,6 +65,7 @@ def of_dates(
     if _ISO.fullmatch(text.iloc[0]):
         stamps = pd.to_datetime(text, errors="coerce", format="ISO8601", utc=True)
         if stamps.notna().all():
+            _require_unswapped(stamps, where)
             said = f"dates, first {text.iloc[0]}"
             zoned = bool(text.str.contains(r"(?:Z|[+-]\d{2}:?\d{2})$", regex=True).iloc[0])
             return _since_first(stamps, form, where, said, origin, is_local=not zoned)
@@ -80,6 +81,34 @@ def of_dates(
         sign = np.where(digits.str[0] == "-", -1, 1)
         stamps = stamps - pd.to_timedelta(sign * minutes, unit="m")
     return _since_first(stamps, form, where, said, origin, is_local=not zone.notna().any())
+
+
+def _require_unswapped(stamps: pd.Series[pd.Timestamp], where: str) -> None:
+    """Refuse dates that run forward only with day and month swapped where both are at most 12."""
+    steps = stamps.diff().dt.total_seconds().to_numpy()[1:]
+    if not np.any(steps < 0):
+        return
+    first = int(np.argmax(steps < 0)) + 1
+    day, month = stamps.dt.day, stamps.dt.month
+    can = day <= 12
+    swapped = stamps.where(~can, stamps + _days_between(stamps, month, day))
+    if np.all(swapped.diff().dt.total_seconds().to_numpy()[1:] > 0):
+        raise DataError(
+            f"{where}: day and month are swapped in the dates whose day is at most 12, as "
+            f"spreadsheets leave them: {stamps.iloc[first - 1]:%Y-%m-%d} is followed by "
+            f"{stamps.iloc[first]:%Y-%m-%d}, and swapped back all of them run forward. Write these "
+            "dates anew; sorting the rows would mix them up."
+        )
+
+
+def _days_between(
+    stamps: pd.Series[pd.Timestamp], day: pd.Series[int], month: pd.Series[int]
+) -> pd.Series[pd.Timedelta]:
+    """From each stamp to the one of that day and month in its year, at its time of day."""
+    import pandas as pd
+
+    parts = {"year": stamps.dt.year, "month": month.clip(upper=12), "day": day}
+    return pd.to_datetime(pd.DataFrame(parts), utc=True) - stamps.dt.floor("D")
 
 
 _WORDS = re.compile(rf"{WEEKDAY}?({MONTH})\s+(\d{{1,2}}),?\s+(.*)", re.IGNORECASE)

@@ -12,12 +12,14 @@ import io
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from casid.data.quality import check
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.record_file import read_record
 from casid.data.reading.survey import survey
@@ -417,6 +419,19 @@ def test_an_order_of_dates_is_taken_as_given(options, step, tmp_path):
     else:
         with pytest.raises(DataError, match="irregular"):  # months have 28 to 31 days
             read_record(path, form=FileFormat(**options))
+
+
+@pytest.mark.parametrize(("rows", "said"), [(range(60), "are swapped"), ((3, 2, 1), "backward")])
+def test_dates_that_run_forward_only_with_day_and_month_swapped_are_refused(rows, said, tmp_path):
+    """A spreadsheet took 02/01 for the first of February, and 13/01 for what it is."""
+    path = tmp_path / "run.csv"
+    days = [date(2014, 1, 1) + timedelta(days=k) for k in rows]
+    written = [f"{d:%Y-%d-%m}" if d.day <= 12 and said == "are swapped" else f"{d}" for d in days]
+    path.write_text("date,y\n" + "\n".join(f"{d},{k}" for k, d in enumerate(written)))
+    with pytest.raises(DataError, match=said) as caught:
+        read_record(path)
+    assert ("2014-12-01 is followed by 2014-01-13" in str(caught.value)) == (said == "are swapped")
+    assert any(said in f.text for f in check(path).findings)
 
 
 @pytest.mark.parametrize(
