@@ -13,9 +13,10 @@ import numpy as np
 from casid.data.problem import Problem
 from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.covariance import LAGS_OUTSIDE, sandwich, whiteness
-from casid.estimation.estimate import Agreement, Estimate
+from casid.estimation.estimate import Agreement, Estimate, RecordView
 from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.fitted.free_simulation import simulated_views
 from casid.estimation.fitted.from_fit import channels_of
 from casid.estimation.holdout import Split
 from casid.estimation.intervals.choice import Estimation, by_mask, undetermined_in
@@ -126,7 +127,22 @@ def _completed(task: Task, found: Disturbed) -> Estimate:
         warnings=(*notes, *estimate.warnings, *doubts),
         model=_finished(estimate.model, problem, tuple(found.program.spread)),
     )
+    with no_time_limit():
+        estimate = replace(estimate, records=_views(estimate, search.split))
     return estimate.in_units(found.program.model.declared_units)
+
+
+def _views(estimate: Estimate, split: Split) -> tuple[RecordView, ...]:
+    """The records beside their free simulations, without what disturbs them.
+
+    None where one of these diverges, as that of an unstable plant does.
+    """
+    try:
+        views = simulated_views(estimate, [*split.whole, *split.apart])
+    except CasidError:
+        return ()
+    parts = [*(~held for held in split.held), *(np.zeros(e.record.N, bool) for e in split.apart)]
+    return tuple(replace(v, fitted=part) for v, part in zip(views, parts, strict=True))
 
 
 def _finished(

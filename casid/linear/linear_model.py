@@ -301,9 +301,27 @@ def _notes(model: Model, e: Explicit, slopes: Expr, matrix: Expr) -> tuple[str, 
     if slopes.nnz() and any(ca.which_depends(ca.vec(slopes), ca.vertcat(e.x, e.u))):
         notes.append(f"{model.name} is nonlinear: valid for small deviations from the equilibrium")
     lost = [n for i, n in enumerate(e.parameters) if ca.depends_on(ca.vertcat(e.f, e.h), e.p[i])]
-    lost = [n for n in lost if not ca.depends_on(matrix, model.symbol(n))]
-    if lost:
-        notes.append(f"the linear model does not depend on {', '.join(lost)}")
+    notes += _note_on_lost([n for n in lost if not ca.depends_on(matrix, model.symbol(n))])
+    return tuple(notes)
+
+
+_LOST = "the linear model does not depend on "
+
+
+def _note_on_lost(names: Sequence[str]) -> list[str]:
+    return [f"{_LOST}{', '.join(names)}"] if names else []
+
+
+def notes_about_rest(linear: LinearModel) -> tuple[str, ...]:
+    """The notes where the rest counts as well: a parameter that it depends on is not lost."""
+    rest = ca.vertcat(*(ca.SX(value) for value in linear.equilibrium.values()))
+    kept = [n for i, n in enumerate(linear.parameters) if ca.depends_on(rest, linear.p[i])]
+    notes = []
+    for note in linear.notes:
+        lost = note.removeprefix(_LOST)
+        is_other = lost == note
+        names = [n for n in lost.split(", ") if n not in kept]
+        notes += [note] if is_other else _note_on_lost(names)
     return tuple(notes)
 
 

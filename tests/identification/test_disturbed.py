@@ -587,3 +587,35 @@ def test_a_gust_that_lifts_and_pitches_is_one_disturbance():
         p = found.parameter(name)
         assert p.value == pytest.approx(value, abs=4 * p.std_error)
         assert p.std_error < 0.05 * value
+
+
+def test_a_rest_that_parameters_determine_is_predicted_and_shown_where_it_was_held_out() -> None:
+    """A cup that cools to a temperature nobody measured, in a draught: T' = -(T - T_a)/tau + w.
+
+    Exact in discrete time, w held over a sample: a first-order force of 60 s in steps of 10 s.
+    """
+    rng, h, tau, around, corner = np.random.default_rng(7), 10.0, 900.0, 295.0, 1 / 60
+    decay, fade = np.exp(-h / tau), np.exp(-corner * h)
+    T, w, course = 350.0, 0.0, []
+    for _ in range(400):
+        course.append(T)
+        T = around + (T - around) * decay + w * tau * (1 - decay)
+        w = fade * w + 0.01 * np.sqrt(1 - fade**2) * rng.standard_normal()
+    shown = np.array(course) + 0.02 * rng.standard_normal(400)
+    m = casid.Model("cup")
+    state = m.state("T", "degC", start=60.0)
+    rate = m.parameter("rate", "1/h", start=3.0, lower=0.1, upper=100.0)
+    T_a = m.parameter("T_a", "degC", start=20.0, lower=-20.0, upper=60.0)
+    m.balance(state, "heat", inertia=1, terms=[rate * (T_a - state)], unit="K/s")
+    m.output("shown", state, "degC")
+    cup = casid.Record({"shown": shown}, {"shown": "K"}, Ts=h, name="cup")
+    problem = casid.Problem("cup", m, starts=1)
+    e = identify(problem, cup, hold_out=0.3, disturbances=[Disturbance("heat", "first")])
+    assert abs(e.parameter("T_a").value - 21.85) < 4 * e.parameter("T_a").std_error
+    # One sample of 10 s ahead: the sensor's 0.02 K, and of the draught about 0.05 K.
+    assert 0.02 < e.held_out.rmse["cup"]["shown"] < 0.2
+    assert not any("does not depend on" in w for w in e.warnings)
+    (view,) = e.records
+    assert (view.output_units, int(view.fitted.sum()), view.t.size) == (("degC",), 280, 400)
+    # The draught moves T by 0.01 tau sqrt(60 / (60 + tau)) = 2.3 K, and the simulation leaves it.
+    assert 0.5 < np.std(view.measured[:280] - view.baseline[:280]) < 4.6

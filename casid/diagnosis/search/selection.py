@@ -258,7 +258,9 @@ class Selection:
         if why is None:
             why = attempts.failed.pop(what, "no time was left to extend the model by it")
         if why and note:
-            self.search.refused.append((best, why))
+            # The others may be dropped later: without them it might have been accepted.
+            others = " and ".join(name_of(a.candidate.effect) for a in self.adopted)
+            self.search.refused.append((best, f"beside {others}, {why}" if others else why))
         return not why
 
     def _extend(self, news: Sequence[Adopted], leaves_noise: bool) -> str:

@@ -8,13 +8,16 @@ section 3.2.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.estimation.fitted.parts import NoiseModel
+from casid.estimation.prediction_error.disturbances import rest_of
 from casid.estimation.prediction_error.extended_likelihood import ExtendedPredictionError
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.linear.kalman import steady_state, time_varying
@@ -49,7 +52,7 @@ def predicted(
         [experiment],
         noise.sources,
         initial=noise.initial,
-        rest=noise.rest,
+        rest=_rest(model, noise),
     )
     x = _initial(criterion, start)
     at, d = criterion.sampled(x, 0), criterion.data[0]
@@ -72,6 +75,16 @@ def predicted(
     for _ in range(min(horizon, d.N) - 1):
         z = np.vstack([z0, z[:-1] @ s.A.T + driven[:-1]])
     return np.asarray(z @ s.C.T + d.u @ s.D.T + at.offset)
+
+
+def _rest(model: Model, noise: NoiseModel) -> Mapping[str, Any]:
+    """The rest that a model is linearised about: of a linear one its own, in its parameters.
+
+    In numbers it would be no rest for other parameters, or by a rounding none for these. Linear
+    equations about one rest are those about another.
+    """
+    own = rest_of(model) if noise.rest else None
+    return noise.rest if own is None else own
 
 
 def _extended(

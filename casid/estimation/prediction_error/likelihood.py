@@ -38,6 +38,7 @@ from casid.linear.kalman import (
     steady_state,
     step,
 )
+from casid.linear.linear_model import notes_about_rest
 from casid.linear.noisy_model import NoisyModel, Sampled, White, noise_sources
 from casid.linear.recursion import recursion, recursion_time_last
 from casid.model.model import Model
@@ -109,7 +110,7 @@ class PredictionError:
         self.free, self.own = self.unknowns.free, self.unknowns.own
         self.noisy = NoisyModel(model, noise, self.free, rest)
         self.places, self.inputs = self.noisy.places, self.noisy.inputs
-        self.notes = tuple(self.noisy.linear.notes)
+        self.notes = notes_about_rest(self.noisy.linear)
         self.data = [signals_of(self.places.driven, e) for e in experiments]
         self._refuse_gaps()
         self.offset = 0.0  # the constant of (1)

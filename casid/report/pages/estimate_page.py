@@ -10,6 +10,7 @@ from typing import Any
 from casid.data.experiment import Experiment
 from casid.errors import CasidError
 from casid.estimation.estimate import Estimate, RecordView
+from casid.estimation.fitted.free_simulation import simulated_views
 from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.report.document import (
     Banner,
@@ -21,7 +22,6 @@ from casid.report.document import (
     figure_parts,
 )
 from casid.report.figures.estimates import parameter_figure
-from casid.report.figures.free_simulation import simulated_views
 from casid.report.figures.simulated import simulation_figure
 from casid.report.numbers import interval_lines, number_text
 from casid.report.pages.estimate_parts import evidence_table, notice, parameter_table, provenance

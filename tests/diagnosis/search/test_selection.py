@@ -124,3 +124,21 @@ def test_a_drift_takes_the_place_of_a_law_that_predicts_worse_where_it_leaves_no
     state = Selection(search, None, None, None, at, None, at, None, None)
     assert state.adopt_next()
     assert [a.candidate.effect.kind for a in state.adopted] == [adopted]
+
+
+def test_what_is_refused_beside_another_effect_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That one may be dropped later: a bias alone makes no simulation of a linear model diverge."""
+    m, why = mass(), "the simulation of run diverges at t = 1 s (sample 10) from the start values"
+    effects = [cubic_stiffness(m, "forces"), sensor_scale(m, "position")]
+    first, second = (SimpleNamespace(candidate=SimpleNamespace(effect=e)) for e in effects)
+    monkeypatch.setattr(Selection, "_extend", lambda self, news, leaves_noise: why)
+    search = SimpleNamespace(attempts=Attempts(), refused=[])
+    at = SimpleNamespace(noise_absorbs_misfit=True)
+    state = Selection(search, None, None, None, at, None, at, None, None)
+    assert not state._adopt([second])
+    state.adopted = [first]
+    assert not state._adopt([second])
+    assert [said for _, said in search.refused] == [
+        why,
+        f"beside cubic stiffness in the forces balance, {why}",
+    ]
