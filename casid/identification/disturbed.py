@@ -55,7 +55,9 @@ def identify_disturbed(task: Task, disturbances: Sequence[Disturbance]) -> Estim
     SolveError
         If no optimum was found; for want of time, the estimate says so in `not_done`.
     """
-    return _completed(task, minimum_with(task, disturbances))
+    estimate = _completed(task, minimum_with(task, disturbances))
+    with no_time_limit():
+        return replace(estimate, records=_views(estimate, task.split))
 
 
 def identify_unstable(task: Task, values: Mapping[str, float]) -> Estimate | None:
@@ -127,8 +129,6 @@ def _completed(task: Task, found: Disturbed) -> Estimate:
         warnings=(*notes, *estimate.warnings, *doubts),
         model=_finished(estimate.model, problem, tuple(found.program.spread)),
     )
-    with no_time_limit():
-        estimate = replace(estimate, records=_views(estimate, search.split))
     return estimate.in_units(found.program.model.declared_units)
 
 
