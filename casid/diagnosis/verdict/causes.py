@@ -124,8 +124,10 @@ def _adopted(
     column = columns.get(effect.where)
     parameters = _parameters_of(adopted, estimate)
     sentence = says(effect, column.column if column is not None else "")
-    if effect.kind == "sensor_scale" and not (effect.sets_in or effect.constants.get("about")):
-        like = said_of_gain(parameters[0], _unit(found.search, effect.where))
+    if effect.kind == "sensor_scale" and not effect.sets_in:
+        is_about_zero = not effect.constants.get("about")
+        unit = _unit(found.search, effect.where)
+        like = said_of_gain(parameters[0], unit, is_about_zero=is_about_zero)
         sentence += f", {like}" if like else ""
     if effect.shape == RATE:
         sentence = says_rate_limit(effect.where, _rate_text(adopted.candidate, parameters))

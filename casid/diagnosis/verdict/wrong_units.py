@@ -24,20 +24,22 @@ _CONFUSED = (
 """Units of one quantity that loggers use; the first is that of records."""
 
 
-def said_of_gain(scale: Estimated, unit: str) -> str:
+def said_of_gain(scale: Estimated, unit: str, *, is_about_zero: bool = True) -> str:
     """What a sensor's gain looks like: a mistaken unit, or none that a sensor has; else empty.
 
     Parameters
     ----------
     scale, unit : as for `unit_mistaken`.
+    is_about_zero : whether zero is read right, as in a wrong unit, and not some other reading.
     """
-    if mistaken := unit_mistaken(scale, unit):
+    mistaken = unit_mistaken(scale, unit) if is_about_zero else ""
+    if mistaken:
         return mistaken
     gain = 1.0 + scale.value
     if 1 / DESCRIPTION.gain <= abs(gain) <= DESCRIPTION.gain:
         return ""
     return (
-        f"which would show {gain:.3g} times what it measures: no unit that is often mistaken has "
+        f"as if it showed {gain:.3g} times what it measures: no unit that is often mistaken has "
         "this factor, and a length, a gear ratio or the zero of an angle in the model is as likely "
         "to be wrong"
     )

@@ -79,8 +79,8 @@ def test_only_ratios_of_units_are_called_so(scale: float, unit: str, words: str)
 @pytest.mark.parametrize(
     ("scale", "words"),
     [
-        (-0.81, "would show 0.19 times what it measures: no unit that is often mistaken"),
-        (2.7, "would show 3.7 times what it measures"),
+        (-0.81, "as if it showed 0.19 times what it measures: no unit that is often mistaken"),
+        (2.7, "as if it showed 3.7 times what it measures"),
         (180 / math.pi - 1, "as if deg had been read as rad"),
         (-1.9, ""),  # a wrong sign, and a calibration that is off by a tenth
         (0.3, ""),
@@ -90,3 +90,7 @@ def test_a_gain_that_no_sensor_has_may_be_the_models_own_scale(scale: float, wor
     said = said_of_gain(Estimated("scale", scale, "1"), "rad")
     assert words in said
     assert bool(said) == bool(words)
+    # About another reading than zero it is no unit.
+    about = said_of_gain(Estimated("scale", scale, "1"), "rad", is_about_zero=False)
+    assert "had been read as" not in about
+    assert bool(about) == bool(words)
