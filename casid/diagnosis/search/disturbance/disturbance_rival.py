@@ -145,12 +145,27 @@ def weighed_against_disturbances(
     _add_refused(search, beside.search.refused)
     other = beside.found
     if beside.is_likelier and beside.score < min(score, nothing):
-        if is_random or not found.adopted or not is_more_than_noise(other.at, again):
+        if is_random or takes_place_of(found, other, search, again):
             return replace(beside.search, refused=search.refused), beside.bare, other
     if is_random:
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
         return search, start, Adoption((), start, None)
     return search, start, found
+
+
+def takes_place_of(found: Adoption, other: Adoption, search: Search, again: Search) -> bool:
+    """True if likelier causes beside a disturbance are to be named in the place of those found.
+
+    Where they leave misfit, too, causes under the noise of the sensors stay: unless time ended
+    their search.
+
+    Parameters
+    ----------
+    search, again : those of `found` and of `other`.
+    """
+    if not found.adopted or search.attempts.not_done:
+        return True
+    return not is_more_than_noise(other.at, again)
 
 
 def searched_beside(

@@ -11,12 +11,14 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
+from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.disturbance import disturbance_rival
 from casid.diagnosis.search.disturbance.disturbance_price import as_white
 from casid.diagnosis.search.disturbance.disturbance_rival import (
     minus_log_likelihood_beside,
+    takes_place_of,
     without_replaceable,
 )
 from casid.diagnosis.search.refinement import Adoption
@@ -202,6 +204,20 @@ def test_a_model_with_an_effect_is_no_less_likely_in_a_sea_than_without_it() -> 
     own = weighing.weigh(extended, fit)
     beside = minus_log_likelihood_beside(weighing, Adoption((cause,), bare, fit), own, bare)
     assert beside <= minus_log_likelihood(bare)
+
+
+@pytest.mark.parametrize("is_cut", [True, False])
+def test_causes_whose_search_time_ended_give_way_to_likelier_ones_beside_a_disturbance(
+    monkeypatch: pytest.MonkeyPatch, is_cut: bool
+) -> None:
+    """Both leave misfit: a held input was named, and the other search had the cubic spring."""
+    monkeypatch.setattr(disturbance_rival, "is_more_than_noise", lambda *_: True)
+    found: Any = SimpleNamespace(adopted=("hold",))
+    other: Any = SimpleNamespace(at=None)
+    search: Any = SimpleNamespace(attempts=Attempts())
+    if is_cut:
+        search.attempts.not_done["round 2 of the search"] = None
+    assert takes_place_of(found, other, search, search) == is_cut
 
 
 def test_a_residual_as_white_noise_has_the_gaussian_likelihood() -> None:
