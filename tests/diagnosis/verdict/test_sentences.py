@@ -448,10 +448,12 @@ def test_records_that_disagree_on_what_was_named_are_diagnosed_apart_first():
 
 
 def test_on_what_records_disagree_is_said_beside_what_was_named():
-    """Spikes in one of two records are not all that is wrong where another parameter fits each."""
-    text = verdict_sentence("deficient", [SPIKES], {}, "", pendulum.problem, doubts=DISAGREE)
-    assert text.startswith("It has spikes. Beside that, the records disagree on k by more than")
-    assert "disagree" not in verdict_sentence("deficient", [SPIKES], {}, "", pendulum.problem)
+    """A cause in one of two records is not all that is wrong where another parameter fits each."""
+    apart = "the records disagree on k by more than their errors."
+    for cause, said in ((ALONE, "Beside that, "), (SPIKES, "They do not explain all: ")):
+        text = verdict_sentence("deficient", [cause], {}, "", pendulum.problem, doubts=DISAGREE)
+        assert said + apart in text
+        assert "disagree" not in verdict_sentence("deficient", [cause], {}, "", pendulum.problem)
 
 
 @pytest.mark.parametrize(
