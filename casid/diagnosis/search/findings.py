@@ -23,6 +23,7 @@ from casid.diagnosis.search.instants.instant_errors import with_instant_errors
 from casid.diagnosis.search.promotion import with_likelier_rivals
 from casid.diagnosis.search.reconsideration import reconsidered
 from casid.diagnosis.search.refinement import Adoption
+from casid.diagnosis.search.refusals import Refusal
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.search.simulation_errors import Soundness
@@ -115,7 +116,7 @@ class _LastSteps:
         """The causes found, or none where the model simulates worse with them."""
         if found.fit is None or self.is_sound(found.fit):
             return found
-        why = "its simulation is worse than that of the model as it is"
+        why = Refusal("its simulation is worse than that of the model as it is")
         self.search.refused += [(a.candidate, why) for a in found.adopted]
         return replace(found, adopted=(), at=self.baseline.start, fit=None)
 

@@ -39,6 +39,7 @@ from casid.diagnosis.search.candidates import (
 )
 from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.instants.instant_errors import moved_in_time
+from casid.diagnosis.search.refusals import SUPERFLUOUS, Refusal
 from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
@@ -55,8 +56,6 @@ from casid.estimation.holdout import Split, why_worse
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 from casid.model.model import Model
-
-SUPERFLUOUS = "the other causes together leave nothing for it to explain"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,13 +114,13 @@ class Refinement:
         return lean
 
     def without_unneeded(
-        self, found: Adoption, why: Callable[[Adopted, Fit, Fit], str]
+        self, found: Adoption, why: Callable[[Adopted, Fit, Fit], Refusal]
     ) -> Adoption:
         """Without causes that are not needed beside the others, last first; one stays.
 
         Parameters
         ----------
-        why : a cause is not needed, by the fits with it and without; an empty text where it is.
+        why : a cause is not needed, by the fits with it and without, if it is not.
         """
         kept, fit, refused = list(found.adopted), found.fit, []
         assert fit is not None

@@ -41,6 +41,7 @@ from casid.diagnosis.search.instants.temporary_changes import placed_changes
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.lags_of_channels import delays_of_best, lags_beside
 from casid.diagnosis.search.preselection import Start, preselected
+from casid.diagnosis.search.refusals import Refusal
 from casid.diagnosis.search.soft_stops import without_soft_stops
 from casid.diagnosis.search.swinging_parts import beside_lines
 from casid.diagnosis.settings import Progress
@@ -92,7 +93,7 @@ class Search:
     without: Collection[str] = ()  # kinds left out
     first_table: ScoreTable | None = None
     first_candidates: list[Candidate] = field(default_factory=list)
-    refused: list[tuple[Candidate, str]] = field(default_factory=list)
+    refused: list[tuple[Candidate, Refusal]] = field(default_factory=list)
     attempts: Attempts = field(default_factory=Attempts)
     memory: Memory = field(default_factory=Memory)
     refitting: Refitting = field(init=False)

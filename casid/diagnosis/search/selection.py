@@ -34,6 +34,7 @@ from casid.diagnosis.search.refinement import (
     weighed_whole,
     whole_fit,
 )
+from casid.diagnosis.search.refusals import ACCEPTED, LEAVES_MORE, Refusal
 from casid.diagnosis.search.residual_check import is_more_than_noise, is_noise_alone
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
@@ -57,7 +58,6 @@ SHARPNESS = "the sharpness of a reversal"
 BLUNT = "the test of causes that a blunt reversal brings about"
 POWERS = "the powers by which parameters change with states and channels"
 INSTANTS = "the instants of changes in the whole records"
-LEAVES_MORE = "it seems to imitate a better law, and leaves more than noise"
 
 
 def adopt_causes(
@@ -256,15 +256,15 @@ class Selection:
         what = f"the extension by {' and '.join(name_of(a.candidate.effect) for a in news)}"
         why = attempts.attempt(what, partial(self._extend, news, leaves_noise))
         if why is None:
-            why = attempts.failed.pop(what, "no time was left to extend the model by it")
+            why = Refusal(attempts.failed.pop(what, "no time was left to extend the model by it"))
         if why and note:
             # The others may be dropped later: without them it might have been accepted.
             others = " and ".join(name_of(a.candidate.effect) for a in self.adopted)
-            self.search.refused.append((best, f"beside {others}, {why}" if others else why))
+            self.search.refused.append((best, why.beside(others)))
         return not why
 
-    def _extend(self, news: Sequence[Adopted], leaves_noise: bool) -> str:
-        """Extend the model; why its errors speak against it, or an empty text."""
+    def _extend(self, news: Sequence[Adopted], leaves_noise: bool) -> Refusal:
+        """Extend the model, unless it is refused."""
         best, weighing = news[-1].candidate, self.search.weighing
         whole = partial(
             whole_fit, best.model, self.split, self.settings, self.units, best.fit.values
@@ -273,7 +273,7 @@ class Selection:
         fit = None if is_disturbed else whole()
         errors = simulation_errors(fit, self.split, self.units) if fit else self._errors(best)
         why = why_not_adopted(self.errors, errors, is_alarm=news[0].is_alarm)
-        why = why or why_worse(self.before.continued, errors.continued)
+        why = why or Refusal(why_worse(self.before.continued, errors.continued), "held-out")
         if why and is_disturbed and is_as_good_held_out(self.errors, errors):
             # Whether it predicts what was held out, the motion that is simulated may show.
             fit = whole()
@@ -281,8 +281,8 @@ class Selection:
         if why:
             return why
         fit = fit or whole()
-        if why := why_undetermined(self.fit, fit, best):
-            return why
+        if undetermined := why_undetermined(self.fit, fit, best):
+            return Refusal(undetermined)
         fit, at = weighed_whole(weighing, fit, self.settings)
         leaves_noise = leaves_noise or is_soft_stop(self.at, best)
         if leaves_noise and not is_noise_alone(at, self.search):
@@ -296,10 +296,10 @@ class Selection:
                 fit = at.fit
         self.errors, self.fit, self.at = errors, fit, at
         self.adopted += news
-        return ""
+        return ACCEPTED
 
-    def _why_not_simulated(self, fit: Fit) -> str:
-        """Why a fit is refused by the errors of its simulation alone, or an empty text."""
+    def _why_not_simulated(self, fit: Fit) -> Refusal:
+        """Why a fit is refused by the errors of its simulation alone, if it is."""
         old, new = (simulation_errors(f, self.split, self.units) for f in (self.fit, fit))
         return why_not_adopted(old, new)
 

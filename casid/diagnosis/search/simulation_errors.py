@@ -8,12 +8,14 @@ the error that the baseline leaves of it. All models are fitted and compared in 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f as f_distribution
 
 from casid.arrays import TINY, Array
+from casid.diagnosis.search.refusals import ACCEPTED, Refusal
 from casid.diagnosis.thresholds import FORESIGHT, GROWTH, ROUNDS
 from casid.errors import SolveError
 from casid.estimation.holdout import (
@@ -135,8 +137,8 @@ def why_not_adopted(
     after: SimulationErrors,
     *,
     is_alarm: bool = False,
-) -> str:
-    """Why an extension is refused by its errors, or an empty text.
+) -> Refusal:
+    """Why an extension is refused by its errors, if it is.
 
     The error of the fitted part has to fall, and so have those of what was held out together: one
     that grows is made up for by the other, should that fall by the larger factor. A simulation that
@@ -154,9 +156,9 @@ def why_not_adopted(
     shared = np.isfinite(before.fitted) & ~np.isnan(after.fitted)
     old, new = (float(np.sum(e.fitted[shared] ** 2)) for e in (before, after))
     if not np.isfinite(new):
-        return "its simulation diverges on the fitted data"
+        return Refusal("its simulation diverges on the fitted data", "fitted")
     if new >= old:
-        return "it does not lower the error of the fitted part"
+        return Refusal("it does not lower the error of the fitted part", "fitted")
     tolerance = ROUNDS.overfit * (old - new) / max(int(shared.sum()), 1)
     return why_held_out(before, after, is_alarm=is_alarm, tolerance=tolerance)
 
@@ -257,8 +259,8 @@ def _is_far_less(new: Array, old: Array) -> bool:
     return float(f_distribution.sf(ratio, freedom[1], freedom[0])) < FORESIGHT.p
 
 
-def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
-    """Why an extension that was found under a disturbance is refused, or an empty text.
+def why_much_worse(before: Fit, after: Fit, split: Split) -> Refusal:
+    """Why an extension that was found under a disturbance is refused, if it is.
 
     The disturbance is most of the error of a simulation, with the effect or without: it may grow by
     chance, that of the fitted part by `growth_by_disturbance`, and that of what was held out by
@@ -269,13 +271,18 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
     fitted = [fitted_error(f, split, units) for f in (before, after)]
     counts = ~np.isnan(fitted[0]) & ~np.isnan(fitted[1])
     held_out = [_held_out(f, split, units) for f in (before, after)]
-    parts = {"fitted": [e[counts] for e in fitted], "held-out": held_out}
-    most = {"fitted": growth_by_disturbance(fitted[0], after)}
-    for part, errors in parts.items():
-        old, new = (float(np.nansum(e**2)) for e in errors)
-        if not new <= most.get(part, (1 + GROWTH.by_chance) ** 2) * old:
-            return f"it makes the {part} error much worse"
-    return ""
+    most = growth_by_disturbance(fitted[0], after)
+    if _grows([e[counts] for e in fitted], most):
+        return Refusal("it makes the fitted error much worse", "fitted")
+    if _grows(held_out, (1 + GROWTH.by_chance) ** 2):
+        return Refusal("it makes the held-out error much worse", "held-out")
+    return ACCEPTED
+
+
+def _grows(errors: Sequence[Array], most: float) -> bool:
+    """True if the sum of squares of the second errors is more than `most` times the first's."""
+    old, new = map(_square, errors)
+    return not new <= most * old
 
 
 def fitted_error(fit: Fit, split: Split, units: Array) -> Array:
@@ -295,8 +302,8 @@ def why_held_out(
     *,
     is_alarm: bool = False,
     tolerance: float = 0.0,
-) -> str:
-    """Why an extension is refused by its held-out error alone; an empty text where it is not.
+) -> Refusal:
+    """Why an extension is refused by its held-out error alone, if it is.
 
     Parameters
     ----------
@@ -311,13 +318,13 @@ def why_held_out(
         worse = why_worse(old, new)
         first, last = float(np.nansum(old**2)), float(np.nansum(new**2))
         if not np.isfinite(last):
-            return worse + how
+            return Refusal(worse + how, "held-out")
         if not 0.0 < last - first <= tolerance * np.isfinite(old).sum():
             factor *= last / max(first, TINY) if len(old) else 1.0
             grown = grown or (worse + how if worse else "")
     if grown and factor >= 1.0:
-        return grown
+        return Refusal(grown, "held-out")
     # One of the two ways must show a gain that is not chance: the errors that an integrator has
     # gathered hide it in the one, an initial state that absorbs it in the other.
     whys = [why_no_better(old, new) for old, new, _ in ways]
-    return "" if is_alarm or not all(whys) else whys[0]
+    return ACCEPTED if is_alarm or not all(whys) else Refusal(whys[0], "held-out")

@@ -15,9 +15,6 @@ from casid.model.units import parse_unit, si_unit
 NOT_ACCEPTED = "is significant but was not accepted"
 """What a note says of an effect that was refused; its name stands before it."""
 
-SIMILAR = "significant and of a similar effect, but"
-"""How an alternative to what has no name begins; why it was refused follows."""
-
 Verdict = Literal["adequate", "deficient", "undecided"]
 
 
@@ -30,6 +27,7 @@ class Alternative:
     p_value: float
     why: str
     description: str = ""  # what it is like where the catalogue has no name: kind "unknown"
+    has_reason: bool = False  # `why` says for what it was refused
 
     @property
     def name(self) -> str:
@@ -53,7 +51,7 @@ class Alternative:
 
     def to_json(self) -> dict[str, Any]:
         """The fields as `diagnosis.json` holds them."""
-        return plain_fields(self)
+        return plain_fields(self, leave_out=("has_reason",))
 
 
 _SHARES = ("scale", "gain", "saturated", "rate_limited")

@@ -18,8 +18,6 @@ from casid.diagnosis.thresholds import RESTARTS
 from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.fit import FitSettings
 
-_HELD_OUT = "held-out"  # in the reason of what was refused for that error
-
 
 def may_be_over(found: Findings, settings: FitSettings) -> bool:
     """True if what was held out refused a change that explains all of a large misfit before it.
@@ -30,7 +28,7 @@ def may_be_over(found: Findings, settings: FitSettings) -> bool:
     """
     if found.baseline.why_undecided or found.baseline.split.is_empty:
         return False
-    refused = [c for c, why in found.search.refused if c.effect.sets_in and _HELD_OUT in why]
+    refused = [c for c, why in found.search.refused if c.effect.sets_in and why.error == "held-out"]
     best = max(refused, key=lambda c: c.gain, default=None)
     if best is None:
         return False

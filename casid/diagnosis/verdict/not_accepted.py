@@ -10,10 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from casid.diagnosis.search.candidates import Candidate, name_of
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED, SIMILAR, Alternative, Cause
+from casid.diagnosis.search.refusals import Refusal
+from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Alternative, Cause
 from casid.model.effects.effect import Effect
 
-Refused = Sequence[tuple[Candidate, str]]
+Refused = Sequence[tuple[Candidate, Refusal]]
 """Candidates, and why each was refused."""
 
 _Identity = tuple[str, str, str]  # kind, place and description
@@ -23,7 +24,7 @@ _UNDER_THE_NOISE = "explains the misfit better under the noise model"
 
 def with_refusal_reasons(causes: Sequence[Cause], refused: Refused) -> list[Cause]:
     """The causes with every alternative once, those that were refused with the reason."""
-    reasons = {i: why for c, why in refused for i in _identities(c.effect)}
+    reasons = {i: why.text for c, why in refused for i in _identities(c.effect)}
     return [replace(c, alternatives=tuple(_alternatives(c, reasons))) for c in causes]
 
 
@@ -32,7 +33,7 @@ def refusal_notes(refused: Refused, causes: Sequence[Cause] = ()) -> list[str]:
     told = {_identity(c) for c in causes}
     told |= {_identity(a) for c in causes for a in c.alternatives}
     reasons = {name_of(c.effect): why for c, why in refused if not told & _identities(c.effect)}
-    return [f"{words} {NOT_ACCEPTED}: {why}" for words, why in reasons.items()]
+    return [f"{words} {NOT_ACCEPTED}: {why.text}" for words, why in reasons.items()]
 
 
 def _alternatives(cause: Cause, reasons: dict[_Identity, str]) -> Iterator[Alternative]:
@@ -42,7 +43,7 @@ def _alternatives(cause: Cause, reasons: dict[_Identity, str]) -> Iterator[Alter
         if shown in seen:
             continue
         seen.add(shown)
-        reason = "" if a.why.startswith(SIMILAR) else reasons.get(_identity(a), "")
+        reason = "" if a.has_reason else reasons.get(_identity(a), "")
         yield replace(a, why=_with_reason(a.why, reason)) if reason else a
 
 

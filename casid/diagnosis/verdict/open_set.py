@@ -27,12 +27,13 @@ from casid.diagnosis.evidence.residual_tests import (
     residual_tests,
 )
 from casid.diagnosis.search.alternatives import is_imitator
-from casid.diagnosis.search.candidates import Adopted, Candidate
+from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.residual_check import tested_residual
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, ROUNDS
 from casid.diagnosis.unexplained.description import Unexplained, unexplained
-from casid.diagnosis.verdict.cause import SIMILAR, Alternative, Cause
+from casid.diagnosis.verdict.cause import Alternative, Cause
+from casid.diagnosis.verdict.not_accepted import Refused
 from casid.diagnosis.verdict.remainder import Remaining
 from casid.diagnosis.verdict.unnamed_alternatives import UnnamedAlternative
 from casid.model.effects.effect import OF_SAMPLES
@@ -161,7 +162,7 @@ def with_the_unknown(
     causes: Sequence[Cause],
     remainder: Remainder,
     remaining: Remaining | None,
-    refused: Sequence[tuple[Candidate, str]] = (),
+    refused: Refused = (),
     *,
     is_disturbed: bool = False,
 ) -> list[Cause]:
@@ -201,15 +202,16 @@ def with_the_unknown(
     return [*others, _unknown(where, remainder, alternatives, share=share)]
 
 
-def _nearest(refused: Sequence[tuple[Candidate, str]]) -> Iterator[Alternative]:
+def _nearest(refused: Refused) -> Iterator[Alternative]:
     """Named effects that explain much of what was fitted, and what speaks against each."""
     keys: set[tuple[str, str]] = set()
     for c, why in refused:
         is_new = c.effect.key not in keys and c.effect.kind != "unknown" and not is_imitator(c)
         if is_new and len(keys) < ROUNDS.rivals:
             keys.add(c.effect.key)
-            text = f"{SIMILAR} {why}"
-            yield Alternative(c.effect.kind, c.effect.where, 1.0, text, c.effect.description)
+            text = f"significant and of a similar effect, but {why.text}"
+            kind, where, description = c.effect.kind, c.effect.where, c.effect.description
+            yield Alternative(kind, where, 1.0, text, description, has_reason=True)
 
 
 def _unknown(

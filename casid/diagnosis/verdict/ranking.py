@@ -18,7 +18,7 @@ def ranking(
     tied = {(x.kind, x.where) for c in causes for x in c.alternatives}
     tied |= {r.candidate.effect.key for a in adopted for r in a.rivals}
     gains = {c.effect.key: c.gain for c in search.first_candidates}
-    refused = {c.effect.key: why for c, why in search.refused}
+    refused = {c.effect.key: why.text for c, why in search.refused}
     rows: dict[tuple[str, str], Ranked] = {}
     if search.first_table is None:
         return ()

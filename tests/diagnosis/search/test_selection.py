@@ -10,6 +10,7 @@ import pytest
 import casid
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.search import selection
+from casid.diagnosis.search.refusals import ACCEPTED, Refusal
 from casid.diagnosis.search.selection import Selection, why_undetermined
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import cubic_stiffness
@@ -110,12 +111,12 @@ def test_a_drift_takes_the_place_of_a_law_that_predicts_worse_where_it_leaves_no
 
     def extend(self, news, leaves_noise):
         if news[0] is laws[0]:
-            return "it makes the held-out error worse"
+            return Refusal("it makes the held-out error worse", "held-out")
         assert leaves_noise is (news[0] in waiting)
         if leaves_noise and leaves:
-            return leaves
+            return Refusal(leaves)
         self.adopted += news
-        return ""
+        return ACCEPTED
 
     monkeypatch.setattr(Selection, "_significant", significant)
     monkeypatch.setattr(Selection, "_extend", extend)
@@ -128,7 +129,8 @@ def test_a_drift_takes_the_place_of_a_law_that_predicts_worse_where_it_leaves_no
 
 def test_what_is_refused_beside_another_effect_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """That one may be dropped later: a bias alone makes no simulation of a linear model diverge."""
-    m, why = mass(), "the simulation of run diverges at t = 1 s (sample 10) from the start values"
+    m = mass()
+    why = Refusal("the simulation of run diverges at t = 1 s (sample 10) from the start values")
     effects = [cubic_stiffness(m, "forces"), sensor_scale(m, "position")]
     first, second = (SimpleNamespace(candidate=SimpleNamespace(effect=e)) for e in effects)
     monkeypatch.setattr(Selection, "_extend", lambda self, news, leaves_noise: why)
@@ -138,7 +140,7 @@ def test_what_is_refused_beside_another_effect_says_so(monkeypatch: pytest.Monke
     assert not state._adopt([second])
     state.adopted = [first]
     assert not state._adopt([second])
-    assert [said for _, said in search.refused] == [
-        why,
-        f"beside cubic stiffness in the forces balance, {why}",
+    assert [said.text for _, said in search.refused] == [
+        why.text,
+        f"beside cubic stiffness in the forces balance, {why.text}",
     ]

@@ -46,7 +46,7 @@ BEFORE = errors(1.0, 1.0, 1.0)
 
 
 def test_an_extension_that_lowers_all_three_errors_is_adopted():
-    assert why_not_adopted(BEFORE, errors(0.1, 0.1, 0.1)) == ""
+    assert not why_not_adopted(BEFORE, errors(0.1, 0.1, 0.1))
 
 
 @pytest.mark.parametrize(("continued", "is_as_good"), [(0.9, True), (1.04, True), (1.1, False)])
@@ -58,24 +58,26 @@ def test_a_held_out_error_may_rise_by_a_tenth_of_what_that_of_the_fitted_part_fa
 
 
 @pytest.mark.parametrize(
-    ("after", "why"),
+    ("after", "why", "error"),
     [
-        ((1.1, 0.1, 0.1), "does not lower the error of the fitted part"),
-        ((0.1, 1.3, 0.99), "makes the held-out error worse"),
-        ((0.1, 0.99, 1.3), "from an initial state of its own"),
+        ((1.1, 0.1, 0.1), "does not lower the error of the fitted part", "fitted"),
+        ((0.1, 1.3, 0.99), "makes the held-out error worse", "held-out"),
+        ((0.1, 0.99, 1.3), "from an initial state of its own", "held-out"),
     ],
 )
 @pytest.mark.parametrize("is_alarm", [False, True])
-def test_an_error_that_grows_by_more_than_others_fall_refuses_it(after, why, is_alarm):
-    assert why in why_not_adopted(BEFORE, errors(*after), is_alarm=is_alarm)
+def test_an_error_that_grows_by_more_than_others_fall_refuses_it(after, why, error, is_alarm):
+    refusal = why_not_adopted(BEFORE, errors(*after), is_alarm=is_alarm)
+    assert why in refusal.text
+    assert refusal.error == error
 
 
 def test_a_held_out_error_that_grows_is_made_up_for_by_the_other_if_it_falls_by_more():
     """Alone of noise 1 and a swing of 5, squares are 13.5 N; of 6 and 0.1, 19 N and 1.005 N."""
     before = errors(5.0, 5.0, 5.0)
-    assert why_not_adopted(before, errors(0.1, 6.0, 0.1)) == ""
-    assert why_not_adopted(before, errors(0.1, 0.1, 6.0)) == ""
-    assert why_not_adopted(before, errors(0.1, 6.0, 4.9)) != ""
+    assert not why_not_adopted(before, errors(0.1, 6.0, 0.1))
+    assert not why_not_adopted(before, errors(0.1, 0.1, 6.0))
+    assert why_not_adopted(before, errors(0.1, 6.0, 4.9))
 
 
 @pytest.mark.parametrize(("share", "is_adopted"), [(0.5, True), (2.0, False)])
@@ -88,7 +90,7 @@ def test_a_rise_that_is_small_beside_the_gain_in_the_fit_is_none(share, is_adopt
         SimulationErrors(fitted, held, quiet),
         SimulationErrors(0.0 * swing, 0.9 * held, rise),
     )
-    assert (why_not_adopted(before, after) == "") is is_adopted
+    assert bool(why_not_adopted(before, after)) is not is_adopted
 
 
 def test_a_gain_that_may_be_chance_is_enough_for_an_effect_that_is_significant_by_itself():
@@ -97,20 +99,24 @@ def test_a_gain_that_may_be_chance_is_enough_for_an_effect_that_is_significant_b
     swing = SWING - noise * float(np.sum(noise * SWING) / np.sum(noise**2))
     before = SimulationErrors(*(noise + 0.02 * swing,) * 3)
     after = SimulationErrors(noise, noise, noise)
-    assert "may be chance" in why_not_adopted(before, after)
-    assert why_not_adopted(before, after, is_alarm=True) == ""
+    refusal = why_not_adopted(before, after)
+    assert "may be chance" in refusal.text
+    assert refusal.error == "held-out"
+    assert not why_not_adopted(before, after, is_alarm=True)
 
 
 def test_a_simulation_that_diverges_is_refused():
     wild = SimulationErrors(*(np.full((N, 1), np.inf) for _ in range(3)))
-    assert "diverges" in why_not_adopted(BEFORE, wild)
+    refusal = why_not_adopted(BEFORE, wild)
+    assert "diverges" in refusal.text
+    assert refusal.error == "fitted"
 
 
 def test_where_nothing_was_held_out_the_fitted_error_decides():
     none = np.zeros((0, 1))
     before, after = (SimulationErrors(NOISE[0] + size * SWING, none, none) for size in (1.0, 0.1))
-    assert why_not_adopted(before, after) == ""
-    assert "fitted part" in why_not_adopted(after, before)
+    assert not why_not_adopted(before, after)
+    assert "fitted part" in why_not_adopted(after, before).text
 
 
 def white(size: float) -> SimulationErrors:
@@ -176,8 +182,10 @@ def test_a_model_that_simulates_worse_than_the_one_it_extends_is_not_sound():
 
 def test_under_a_disturbance_neither_part_may_be_simulated_much_worse():
     fit, split = decay()
-    assert why_much_worse(fit, moved(C_1=1 + 1e-6), split) == ""
-    assert why_much_worse(fit, moved(C_1=1.02), split) == "it makes the fitted error much worse"
+    assert not why_much_worse(fit, moved(C_1=1 + 1e-6), split)
+    refusal = why_much_worse(fit, moved(C_1=1.02), split)
+    assert refusal.text == "it makes the fitted error much worse"
+    assert refusal.error == "fitted"
 
 
 def test_right_parameters_lie_as_far_from_least_squares_as_its_confidence_region_reaches():

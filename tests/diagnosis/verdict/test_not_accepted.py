@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED, SIMILAR
+from casid.diagnosis.search.refusals import Refusal
+from casid.diagnosis.verdict.cause import NOT_ACCEPTED
 from casid.diagnosis.verdict.not_accepted import refusal_notes, with_refusal_reasons
 from casid.model.effects.names import LATER_THAN_RECORDED
 
@@ -19,7 +20,7 @@ NAMED = Cause("offset", "torque", 1e-9, (), (BETTER,), sentence="a constant term
 def refused(kind: str, where: str, why: str = WHY, *, shape: str = "", description: str = ""):
     key = kind, f"{where}: {shape}" if shape else where
     effect = SimpleNamespace(kind=kind, where=where, key=key, description=description)
-    return SimpleNamespace(effect=effect), why
+    return SimpleNamespace(effect=effect), Refusal(why)
 
 
 def test_an_effect_that_several_rounds_refuse_has_one_note():
@@ -46,8 +47,8 @@ def test_an_alternative_that_was_not_refused_keeps_its_words():
     assert with_refusal_reasons([NAMED], [refused("sensor_lag", "x")]) == [NAMED]
 
 
-def test_the_reason_stands_once_where_the_alternative_begins_with_it():
-    near = Alternative("sensor_lag", "y", 1.0, f"{SIMILAR} it makes the held-out error worse")
+def test_the_reason_stands_once_where_the_alternative_has_it():
+    near = Alternative("sensor_lag", "y", 1.0, f"similar, but {WHY}", has_reason=True)
     (cause,) = with_refusal_reasons(
         [Cause("unknown", "y", 1e-3, (), (near,))], [refused("sensor_lag", "y")]
     )

@@ -45,6 +45,7 @@ from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
 from casid.diagnosis.search.disturbance.disturbance_price import as_white, price_of
 from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
 from casid.diagnosis.search.refinement import Adoption, Refinement
+from casid.diagnosis.search.refusals import ACCEPTED, RANDOM, Refusal
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
@@ -59,8 +60,6 @@ from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
-
-RANDOM = "an unrecorded random disturbance explains the misfit as well"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,14 +255,14 @@ def without_replaceable(
     refine = Refinement(search, split, settings.refit, units, baseline.start, base)
     is_sound = Soundness(base, split)
 
-    def why(cause: Adopted, fit: Fit, without: Fit) -> str:
-        """Why a cause is not needed beside a disturbance, or an empty text."""
+    def why(cause: Adopted, fit: Fit, without: Fit) -> Refusal:
+        """Why a cause is not needed beside a disturbance, if it is not."""
         if cause not in doubted or _foresees(without, fit, split) or not is_sound(without):
-            return ""
+            return ACCEPTED
         beside, instead = search.under_disturbance(fit), search.under_disturbance(without)
         score_of = partial(_score, search=search, counted=base.criterion)
         is_needed = score_of(beside, [cause]) < score_of(instead)
-        return "" if is_needed or is_more_than_noise(instead, again) else RANDOM
+        return ACCEPTED if is_needed or is_more_than_noise(instead, again) else RANDOM
 
     settings.progress("compare each cause with a random disturbance in its place")
     what = "the comparison of each cause with a random disturbance"
@@ -341,6 +340,6 @@ def _charge(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:
     return shapes * math.log(n) + charged
 
 
-def _add_refused(search: Search, rows: Sequence[tuple[Candidate, str]]) -> None:
+def _add_refused(search: Search, rows: Sequence[tuple[Candidate, Refusal]]) -> None:
     known = {c.effect.key for c, _ in search.refused}
     search.refused += [row for row in rows if row[0].effect.key not in known]

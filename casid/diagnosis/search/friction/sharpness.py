@@ -13,7 +13,8 @@ from functools import partial
 
 from casid.diagnosis.search.candidates import Adopted, name_of
 from casid.diagnosis.search.friction.speeds import likeliest_speed, steps_needed
-from casid.diagnosis.search.refinement import SUPERFLUOUS, Adoption, Refinement
+from casid.diagnosis.search.refinement import Adoption, Refinement
+from casid.diagnosis.search.refusals import SUPERFLUOUS
 from casid.diagnosis.thresholds import FRICTION
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.thresholds import STEPS
