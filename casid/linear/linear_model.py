@@ -49,7 +49,8 @@ class LinearModel:
     p : (np,) SX, all parameters of the model in its order, named in `parameters`.
     known : the values of the parameters that are known.
     equilibrium : value (SX) of every state, input and output there; 0 unless stated otherwise.
-    notes : what a reader should know, as parameters that the linearisation has lost.
+    is_nonlinear : whether the model is, which this then holds for small deviations of alone.
+    lost : parameters of the model that the linearisation does not depend on.
     """
 
     name: str
@@ -64,7 +65,15 @@ class LinearModel:
     parameters: tuple[str, ...]
     description: tuple[Parameter, ...]
     equilibrium: Mapping[str, Expr]
-    notes: tuple[str, ...] = ()
+    is_nonlinear: bool = False
+    lost: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know: that the model is nonlinear, and what it has lost."""
+        near = f"{self.name} is nonlinear: valid for small deviations from the equilibrium"
+        lost = f"the linear model does not depend on {', '.join(self.lost)}"
+        return (*([near] if self.is_nonlinear else []), *([lost] if self.lost else []))
 
     @property
     def known(self) -> dict[str, float]:
@@ -276,7 +285,8 @@ def linearise(
         parameters=e.parameters,
         description=tuple(model.parameters[n] for n in e.parameters),
         equilibrium=values | {name: h[i] for i, name in enumerate(e.outputs)},
-        notes=_notes(model, e, slopes, matrix),
+        is_nonlinear=bool(slopes.nnz() and any(ca.which_depends(ca.vec(slopes), symbols))),
+        lost=_lost(model, e, matrix),
     )
 
 
@@ -295,34 +305,18 @@ def _require_finite_order(model: Model) -> None:
             )
 
 
-def _notes(model: Model, e: Explicit, slopes: Expr, matrix: Expr) -> tuple[str, ...]:
-    """That the model is nonlinear, and which parameters its linearisation has lost."""
-    notes = []
-    if slopes.nnz() and any(ca.which_depends(ca.vec(slopes), ca.vertcat(e.x, e.u))):
-        notes.append(f"{model.name} is nonlinear: valid for small deviations from the equilibrium")
-    lost = [n for i, n in enumerate(e.parameters) if ca.depends_on(ca.vertcat(e.f, e.h), e.p[i])]
-    notes += _note_on_lost([n for n in lost if not ca.depends_on(matrix, model.symbol(n))])
-    return tuple(notes)
-
-
-_LOST = "the linear model does not depend on "
-
-
-def _note_on_lost(names: Sequence[str]) -> list[str]:
-    return [f"{_LOST}{', '.join(names)}"] if names else []
+def _lost(model: Model, e: Explicit, matrix: Expr) -> tuple[str, ...]:
+    """Parameters that the equations of a model depend on, and its linearisation does not."""
+    equations = ca.vertcat(e.f, e.h)
+    used = [n for i, n in enumerate(e.parameters) if ca.depends_on(equations, e.p[i])]
+    return tuple(n for n in used if not ca.depends_on(matrix, model.symbol(n)))
 
 
 def notes_about_rest(linear: LinearModel) -> tuple[str, ...]:
     """The notes where the rest counts as well: a parameter that it depends on is not lost."""
     rest = ca.vertcat(*(ca.SX(value) for value in linear.equilibrium.values()))
     kept = [n for i, n in enumerate(linear.parameters) if ca.depends_on(rest, linear.p[i])]
-    notes = []
-    for note in linear.notes:
-        lost = note.removeprefix(_LOST)
-        is_other = lost == note
-        names = [n for n in lost.split(", ") if n not in kept]
-        notes += [note] if is_other else _note_on_lost(names)
-    return tuple(notes)
+    return replace(linear, lost=tuple(n for n in linear.lost if n not in kept)).notes
 
 
 def adjugate_polynomials(A: Expr) -> tuple[Expr, list[Expr]]:

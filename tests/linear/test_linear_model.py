@@ -85,6 +85,8 @@ def test_a_nonlinear_pendulum_has_the_matrices_of_the_linear_one():
         np.testing.assert_allclose(got, wanted, atol=1e-12)
     assert any("nonlinear" in n for n in nonlinear.notes)
     assert any("d_2" in n for n in nonlinear.notes)
+    assert nonlinear.is_nonlinear
+    assert "d_2" in nonlinear.lost
 
 
 def test_an_equilibrium_may_depend_on_the_parameters():
