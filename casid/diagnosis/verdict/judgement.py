@@ -100,21 +100,22 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     disturbances = remainder.disturbances if remainder is not None else ()
     # Causes found under a disturbance explain what it leaves.
     is_disturbed = bool(disturbances) or bool(found.adopted and found.at.noise.spectra)
-    fitted, held = _errors(found, with_disturbances=is_disturbed)
+    fitted, held = errors = _errors(found, with_disturbances=is_disturbed)
     part = held if held.get("extended_rmse") else fitted
     # What is held out has another disturbance in it, but one that its past predicts.
     is_random = is_disturbed and predicts_held_out(found, remainder)
     causes = causes_of(found, extended or baseline, problem.columns())
     with_sign = partial(_with_the_sign, found)
+    poor = _left_to_disturbances(found, disturbances, extended or baseline)
     remaining = _remaining(
         found,
         with_sign(causes),
-        fitted,
-        held,
+        errors,
         extended or baseline,
         remainder,
         false_alarm_rate,
         is_random=is_random,
+        is_poor=bool(poor),
     )
     bounds = bounds_met(problem, found.best_fit)
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
@@ -129,7 +130,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = _unlike(found, fitted, held, baseline, beside)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
-    doubts = _doubts(found, remainder, bounds, extended or baseline)
+    doubts = _doubts(found, remainder, bounds, poor)
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
@@ -248,15 +249,16 @@ def _by_estimates(
 def _remaining(
     found: Findings,
     causes: Sequence[Cause],
-    fitted: Errors,
-    held: Errors,
+    errors: tuple[Errors, Errors],
     estimate: Estimate,
     remainder: Remainder | None,
     false_alarm_rate: float,
     *,
     is_random: bool,
+    is_poor: bool,
 ) -> Remaining | None:
     """The share that the causes explain, and whether the remainder is noise or at least random."""
+    fitted, held = errors
     part = fitted if is_random or not held.get("extended_rmse") else held
     chance: dict[str, float] = {}
     if part is held:
@@ -273,7 +275,7 @@ def _remaining(
         noise=NoiseFound(
             estimate.fit.coloured,
             is_random=is_random and remainder is not None and bool(remainder.disturbances),
-            is_poor=bool(_left_to_disturbances(found, remainder, estimate)),
+            is_poor=is_poor,
             is_of_inputs=_has_input_noise(found.at),
             chance=chance,
             held_out=over_floors(held) if part is fitted else {},
@@ -292,7 +294,10 @@ def _has_input_noise(at: Weighted) -> bool:
 
 
 def _doubts(
-    found: Findings, remainder: Remainder | None, bounds: Mapping[str, str], estimate: Estimate
+    found: Findings,
+    remainder: Remainder | None,
+    bounds: Mapping[str, str],
+    poor: tuple[str, ...],
 ) -> Doubts:
     """The doubts: contradictions of the model, named or not."""
     weigh = None if found.corrected is None else found.corrected.weigh
@@ -300,17 +305,16 @@ def _doubts(
     is_more = (
         remainder is not None and remainder.p_value < remainder.level and not remainder.disturbances
     )
-    return Doubts(is_more, tuple(apart), bounds, _left_to_disturbances(found, remainder, estimate))
+    return Doubts(is_more, tuple(apart), bounds, poor)
 
 
 def _left_to_disturbances(
-    found: Findings, remainder: Remainder | None, estimate: Estimate
+    found: Findings, disturbances: Sequence[Disturbance], estimate: Estimate
 ) -> tuple[str, ...]:
     """Outputs that a disturbance moves, and the recorded inputs hardly.
 
     It stands for whatever the model has wrong there. Without inputs a model has nothing else.
     """
-    disturbances = remainder.disturbances if remainder is not None else ()
     is_driven = any(u.kind in {"measured", "known"} for u in found.at.model.inputs.values())
     if not is_driven or not any(d.is_dominant for d in disturbances):
         return ()
