@@ -24,8 +24,8 @@ from casid.estimation.holdout import Split
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, parts_of
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import name_of_force, with_forces
+from casid.estimation.simulation.input_noise import with_input_noise
 from casid.estimation.simulation.minimization import minimize_simulation_error
-from casid.estimation.simulation.signals import noisy_inputs
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
@@ -204,10 +204,7 @@ class NullRecords:
             noise = self.noise.outputs[name] * rng.standard_normal(d.N)
             values = y[:, i] + noise * d.relative_sizes[:, i]
             record = with_samples(record, name, values)
-        here = noisy_inputs(criterion.data, e)
-        for name, sd in self.noise.inputs.items():
-            noise = sd * here[_column(criterion.model, name)] * rng.standard_normal(d.N)
-            record = with_samples(record, name, record[name] + noise)
+        record = with_input_noise(record, criterion, e, self.noise.inputs, rng)
         return replace(recorded, record=record)
 
 

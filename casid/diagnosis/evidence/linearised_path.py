@@ -20,8 +20,9 @@ from casid.arrays import Array
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.simulation.first_order_lags import lag_columns
+from casid.estimation.simulation.input_noise import input_noise_sd
 from casid.estimation.simulation.sensor_dynamics import delay_columns
-from casid.estimation.simulation.signals import Signals, noisy_inputs
+from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import Simulated, SimulationError
 from casid.estimation.simulation.simulator import rk4_sample
 from casid.model.declarations import Input
@@ -107,7 +108,7 @@ class Linearised:
             for k, d in enumerate(criterion.data):
                 own = [Motion(self, k, d, criterion.simulated(x, k))]
                 if np.any(sd > 0):
-                    here = sd * noisy_inputs(criterion.data, k)
+                    here = input_noise_sd(criterion.data, k, sd)
                     w = REMOVAL.drawn_share * here * rng.standard_normal((d.N, len(sd)))
                     for sign in (1.0, -1.0):
                         noisy = replace(d, u=d.u + sign * w)

@@ -40,8 +40,8 @@ from casid.estimation.noise.variances import error_over_noise, estimate_noise
 from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.initial_state import with_states_anew
+from casid.estimation.simulation.input_noise import input_noise_sd
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
-from casid.estimation.simulation.signals import noisy_inputs
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
@@ -409,7 +409,7 @@ class Weighing:
         order = sorted(range(len(names)), key=lambda i: names[i])
         states = states_of_windows(criterion, range(len(x)))
         for e, d in enumerate(criterion.data):
-            w, here = np.zeros(d.u.shape), sd * noisy_inputs(criterion.data, e)
+            w, here = np.zeros(d.u.shape), input_noise_sd(criterion.data, e, sd)
             for i in order:  # the same draw for a channel in every model
                 if sd[i] > 0:
                     w[:, i] = share * here[i] * rng.standard_normal(d.N)

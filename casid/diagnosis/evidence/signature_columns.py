@@ -12,8 +12,8 @@ from casid.errors import ModelError
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.feedback import not_felt_yet, slope
 from casid.estimation.noise.innovations import GROUP
+from casid.estimation.simulation.input_noise import input_noise_sd
 from casid.estimation.simulation.minimization import Fit, widened
-from casid.estimation.simulation.signals import noisy_inputs
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect, extend_all
 
@@ -92,7 +92,7 @@ class Columns:
         is.
         """
         w, share = np.zeros(self.wide.data[k].u.shape), REMOVAL.drawn_share
-        noisy, here = np.flatnonzero(sd > 0), sd * noisy_inputs(self.wide.data, k)
+        noisy, here = np.flatnonzero(sd > 0), input_noise_sd(self.wide.data, k, sd)
         w[:, noisy] = share * here[noisy] * rng.standard_normal((len(w), len(noisy)))
         up, down = (self.of_record(x, k, sign * w) for sign in (1.0, -1.0))
         for above, below in zip(up, down, strict=True):

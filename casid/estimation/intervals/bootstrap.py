@@ -28,7 +28,7 @@ from casid.estimation.errors_in_variables.removal import (
 from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS, PROFILE_SEARCH
 from casid.estimation.noise.residual_autoregressions import residual_autoregressions
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.signals import noisy_inputs
+from casid.estimation.simulation.input_noise import with_input_noise
 from casid.time_limit import seconds_left
 
 
@@ -122,17 +122,14 @@ class _Draw:
 
     def __call__(self, rng: np.random.Generator) -> list[Experiment]:
         """The experiments of the fit with other outputs, and inputs where these have noise."""
-        out, inputs = [], list(self.criterion.model.inputs)
+        out = []
         for e, experiment in enumerate(self.criterion.experiments):
             record = experiment.record
             d = self.criterion.data[e]
             y = self.clean[e].y + d.relative_sizes * self._noise(d.used, rng)
             for i, name in enumerate(self.criterion.outputs):
                 record = with_samples(record, name, y[:, i])
-            here = dict(zip(inputs, noisy_inputs(self.criterion.data, e).tolist(), strict=True))
-            for name, sd in self.input_sd.items():
-                noise = sd * here[name] * rng.standard_normal(record.N)
-                record = with_samples(record, name, record[name] + noise)
+            record = with_input_noise(record, self.criterion, e, self.input_sd, rng)
             out.append(replace(experiment, record=record))
         return out
 

@@ -112,16 +112,6 @@ def _sizes_of(experiment: Experiment, outputs: Sequence[str]) -> Array | None:
     )
 
 
-def noisy_inputs(data: Sequence[Signals], experiment: int) -> BoolArray:
-    """(nu,) inputs whose channel may have noise in this record: noise would show where one rests.
-
-    So rests the force in a coast-down beside runs under power. An input that rests in every record
-    says nothing of its noise, and what is stated of it acts.
-    """
-    moves = np.array([np.any(d.u != d.u[:1], axis=0) for d in data])
-    return np.asarray(moves[experiment] | ~moves.any(axis=0))
-
-
 def output_spread(data: Sequence[Signals]) -> Array:
     """(ny,) standard deviation of what was recorded of each output; of a constant, its size."""
     total = np.zeros(data[0].y.shape[1])
