@@ -225,7 +225,7 @@ def _estimate(
             builder.add_fit(b.record, b.balance, size, nrmse)
             relative.setdefault(b.record, {})[b.balance] = size / (size_of(b.y) or 1.0)
             where = f"{b.record}/{b.balance}" if len(blocks) > 1 else b.balance
-            builder.add_whiteness(where, residual, remark="")
+            builder.add_whiteness(where, residual, coloured="")
             scores += weights[b.balance] ** 2 * b.phi * residual[:, None]
         scores_of.append(scores)
     scores = np.concatenate(scores_of)

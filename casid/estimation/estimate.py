@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from casid.data.files import write_json
 from casid.deprecation import renamed
 from casid.estimation.covariance import Sampled, sample_through
 from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.whiteness import Whiteness
 from casid.grouping import Grouped
 from casid.model.declared_units import quantity_of
 from casid.model.units import from_si, is_si, parse_unit, si_unit, to_si
@@ -23,6 +23,9 @@ from casid.saving.saved import Saved
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+
+Bound = Literal["lower", "upper", ""]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,7 @@ class Estimated:
     ends: tuple[float, float] | None = None  # of an interval that is not normal
     interval_kind: str = "quick"  # normal; or "profile", "bootstrap", whose ends stand in `ends`
     resolution: float | None = None  # of an instant [s] that is searched for
+    bound: Bound = ""  # that the fit holds it at
 
     @property
     def interval(self) -> tuple[float, float] | None:
@@ -189,37 +193,34 @@ class SolverEvidence:
 Measure = Mapping[str, Mapping[str, float]]  # record -> output -> number
 
 
-INCOMPLETE = "autocorrelated: model or noise model incomplete"
-"""Remark on residuals with more than three of 20 lags outside the 95 % band of white noise."""
-
-TOO_FEW = "too few samples to tell"
-"""Remark on residuals in which a model that is wrong need not show."""
-
-
 @dataclass(frozen=True, slots=True)
 class Agreement:
     """How well model and measurements agree."""
 
     rmse: Measure = field(default_factory=dict)  # rms simulation error
     nrmse: Measure = field(default_factory=dict)  # per cent
-    whiteness: Mapping[str, str] = field(default_factory=dict)  # output -> sentence
+    residuals: Mapping[str, Whiteness] = field(default_factory=dict)  # output -> test
     measured_by: str = "Free simulation against the measured outputs"
+
+    @property
+    def whiteness(self) -> dict[str, str]:
+        """Output -> the test of its residual, in words."""
+        return {k: str(test) for k, test in self.residuals.items()}
 
     @property
     def coloured(self) -> dict[str, str]:
         """Outputs whose residual should be white and is not, with the lags outside the band."""
-        return {k: v for k, v in self.autocorrelated.items() if INCOMPLETE in self.whiteness[k]}
+        return {k: t.counts for k, t in self.residuals.items() if t.meaning == "incomplete"}
 
     @property
     def untold(self) -> tuple[str, ...]:
         """Outputs with too few samples to tell whether their residual is white."""
-        return tuple(k for k, v in self.whiteness.items() if TOO_FEW in v)
+        return tuple(k for k, t in self.residuals.items() if t.meaning == "too few")
 
     @property
     def autocorrelated(self) -> dict[str, str]:
         """Outputs with more than three lags outside the band, expected by the method or not."""
-        found = {k: re.search(r"(\d+) of \d+ lags outside", v) for k, v in self.whiteness.items()}
-        return {k: f"{m[0]} 95 %" for k, m in found.items() if m is not None and int(m[1]) > 3}
+        return {k: t.counts for k, t in self.residuals.items() if t.is_coloured}
 
 
 @dataclass(frozen=True, slots=True)
@@ -451,7 +452,7 @@ class Estimate(Presented, Saved):
 
     def __repr__(self) -> str:
         free = sum(not p.known for p in self.parameters)
-        bound = sum("bound" in p.note for p in self.parameters)
+        bound = sum(bool(p.bound) for p in self.parameters)
         fits = [f for d in self.nrmse_fit.values() for f in d.values()]
         word = "converged" if self.is_converged else f"NOT converged ({self.status})"
         return (

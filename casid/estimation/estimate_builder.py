@@ -10,11 +10,10 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
-from casid.estimation.covariance import FEWEST_FOR_WHITENESS, sandwich, whiteness
+from casid.estimation.covariance import sandwich
 from casid.estimation.estimate import (
-    INCOMPLETE,
-    TOO_FEW,
     Agreement,
+    Bound,
     Estimate,
     Estimated,
     Identifiability,
@@ -28,6 +27,7 @@ from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.local_rank import LocalRank, describe_null, rank_of
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.unknowns import Variable
+from casid.estimation.whiteness import Meaning, Whiteness, measured_whiteness
 from casid.model.model import Model
 from casid.versions import versions
 
@@ -48,14 +48,14 @@ class Scored(Protocol):
         ...
 
 
-def bound_of(solution: Solution, name: str) -> str:
+def bound_of(solution: Solution, name: str) -> Bound:
     """The bound a variable is at, "lower" or "upper"; empty if none."""
     if name in solution.at_lower:
         return "lower"
     return "upper" if name in solution.at_upper else ""
 
 
-def one_sided(row: Estimated, bound: str, error: float) -> Estimated:
+def one_sided(row: Estimated, bound: Bound, error: float) -> Estimated:
     """A row at the end of a search, with the 95 % interval that is open beyond that end.
 
     `error` is the standard error that the row has where nothing holds it: the records prefer what
@@ -63,8 +63,8 @@ def one_sided(row: Estimated, bound: str, error: float) -> Estimated:
     """
     room = ONE_SIDED * error
     ends = (row.value - room, np.inf) if bound == "upper" else (-np.inf, row.value + room)
-    note = f"at {bound} bound of what was searched"
-    return replace(row, std_error=None, ends=ends, interval_kind="one-sided", note=note)
+    note, kind = f"at {bound} bound of what was searched", "one-sided"
+    return replace(row, std_error=None, ends=ends, interval_kind=kind, note=note, bound=bound)
 
 
 def origin_of(experiments: Sequence[Experiment], sources: tuple[str, ...]) -> Origin:
@@ -98,12 +98,12 @@ class EstimateBuilder:
         self._initial_states: list[Estimated] = []
         self._rmse: dict[str, dict[str, float]] = {}
         self._nrmse: dict[str, dict[str, float]] = {}
-        self._whiteness: dict[str, str] = {}
+        self._residuals: dict[str, Whiteness] = {}
 
     def add(
         self,
         row: Estimated,
-        bound: str = "",
+        bound: Bound = "",
         *,
         determined: bool = True,
         is_state: bool = False,
@@ -117,7 +117,8 @@ class EstimateBuilder:
             if np.isfinite(unheld) and unheld > 0.0:
                 row = one_sided(row, bound, unheld)
             else:
-                row = replace(row, std_error=None, note=f"at {bound} bound: no standard error")
+                note = f"at {bound} bound: no standard error"
+                row = replace(row, std_error=None, note=note, bound=bound)
             self.warnings.append(
                 f"{row.name} is at its {bound} bound: other standard errors are conditional on it"
             )
@@ -232,15 +233,14 @@ class EstimateBuilder:
             self.warnings.append(text)
 
     def add_whiteness(
-        self, where: str, residual: Array, what: str = "whiteness", remark: str = INCOMPLETE
+        self,
+        where: str,
+        residual: Array,
+        what: str = "whiteness",
+        coloured: Meaning = "incomplete",
     ) -> None:
         """How many of the first 20 autocorrelations of a residual lie outside the 95 % band."""
-        outside, lags = whiteness(residual), min(20, len(residual) - 2)
-        if outside <= 3:
-            remark = TOO_FEW if len(residual) < FEWEST_FOR_WHITENESS else ""
-        self._whiteness[where] = f"{what}: {outside} of {lags} lags outside 95 %" + (
-            f" ({remark})" if remark else ""
-        )
+        self._residuals[where] = measured_whiteness(residual, what, coloured)
 
     def build(
         self,
@@ -263,7 +263,7 @@ class EstimateBuilder:
             initial_states=tuple(self._initial_states),
             uncertainty=uncertainty,
             solver=solver,
-            fit=Agreement(self._rmse, self._nrmse, self._whiteness, measured_by),
+            fit=Agreement(self._rmse, self._nrmse, self._residuals, measured_by),
             held_out=held_out or Agreement(),
             identifiability=self.identifiability,
             units=self.units,

@@ -307,7 +307,7 @@ def _estimate(result: Any) -> Estimate:
 
 def _at_bounds(result: Any, moved: set[str]) -> list[str]:
     e = _estimate(result)
-    return [p.name for p in e.parameters if p.name in moved and "bound" in p.note]
+    return [p.name for p in e.parameters if p.name in moved and p.bound]
 
 
 def _report(

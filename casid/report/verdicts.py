@@ -145,7 +145,7 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
             "The error bars hold only if the model is right.",
             "Record more samples, or compare the estimates of several records.",
         )
-    bound = [p.name for p in e.parameters if "bound" in p.note and p.ends is None]
+    bound = [p.name for p in e.parameters if p.bound and p.ends is None]
     if bound:
         yield (
             f"{', '.join(bound)} ended at a bound and has no standard error.",

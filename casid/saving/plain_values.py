@@ -51,8 +51,25 @@ def _blends_of_ramp(held: dict[str, Any]) -> dict[str, Any]:
     return held
 
 
+def _bound_of_note(held: dict[str, Any]) -> dict[str, Any]:
+    """That a parameter was at a bound once stood in its note alone."""
+    said = re.match("at (lower|upper) bound", held.get("note", ""))
+    return {"bound": said[1] if said else "", **held}
+
+
+def _tests_of_sentences(held: dict[str, Any]) -> dict[str, Any]:
+    """The tests of residuals were once kept in words."""
+    if "whiteness" in held:
+        said = held.pop("whiteness")
+        test = class_at("estimation.whiteness.Whiteness")
+        held["residuals"] = {k: test.of_sentence(text) for k, text in said.items()}
+    return held
+
+
 CHANGED: Mapping[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
-    "model.model.Input": _blends_of_ramp
+    "model.model.Input": _blends_of_ramp,
+    "estimation.estimate.Agreement": _tests_of_sentences,
+    "estimation.estimate.Estimated": _bound_of_note,
 }
 """Class -> what makes its fields of those that earlier versions saved."""
 

@@ -18,7 +18,7 @@ from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
 from casid.errors import CasidError, DataError, ModelError
-from casid.estimation.estimate import INCOMPLETE, Estimate
+from casid.estimation.estimate import Estimate
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.input_models import (
     as_known,
@@ -329,7 +329,7 @@ def _row(job: _Job, option: str, names: tuple[str, ...], truth: Mapping[str, flo
     for output in next(iter(estimate.rmse.values())):
         sizes = [by_output[output] for by_output in estimate.rmse.values()]
         rms[output] = float(np.sqrt(np.mean(np.square(sizes))))
-    coloured = [name for name, test in estimate.whiteness.items() if INCOMPLETE in test]
+    coloured = list(estimate.fit.coloured)
     if consistent and coloured:
         verb = "leaves" if len(coloured) == 1 else "leave"
         remark += f". Here {', '.join(coloured)} {verb} coloured residuals: the condition fails"

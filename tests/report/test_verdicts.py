@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from casid.estimation.estimate import TOO_FEW, Agreement, Identifiability
+from casid.estimation.estimate import Agreement, Identifiability
+from casid.estimation.whiteness import Whiteness
 from casid.model.quantities import (
     growth_text,
     quantity_text,
@@ -91,7 +92,7 @@ def test_what_was_held_out_is_judged_by_the_motion_of_the_whole_record(
 
 def test_a_residual_that_may_be_autocorrelated_is_not_called_white():
     """Of instruments and equation errors: their error bars allow for it."""
-    said = {"force": "whiteness: 20 of 20 lags outside 95 %"}
+    said = {"force": Whiteness(20, 20)}
     judged = judged_estimate(replace(good(), fit=Agreement(good().rmse, good().nrmse_fit, said)))
     assert judged.look == "adequate"
     assert "autocorrelated, for which the error bars allow" in judged.sentence
@@ -100,7 +101,7 @@ def test_a_residual_that_may_be_autocorrelated_is_not_called_white():
 
 def test_of_few_samples_nobody_says_that_their_residual_is_white():
     """Sixteen readings of a cooling cup leave a curve that is not autocorrelated enough to show."""
-    said = {"cup": f"whiteness: 0 of 14 lags outside 95 % ({TOO_FEW})"}
+    said = {"cup": Whiteness(0, 14, meaning="too few")}
     judged = judged_estimate(replace(good(), fit=Agreement(good().rmse, good().nrmse_fit, said)))
     assert judged.word == "use with care"
     assert "cup: too few samples to test whether the residual is white" in judged.sentence

@@ -31,7 +31,6 @@ from casid.diagnosis.verdict.remainder import (
     what_remains,
 )
 from casid.estimation.estimate import (
-    INCOMPLETE,
     Agreement,
     Estimate,
     Estimated,
@@ -41,6 +40,7 @@ from casid.estimation.estimate import (
     SolverEvidence,
     Uncertainty,
 )
+from casid.estimation.whiteness import Whiteness
 from casid.presentation import present
 from tests.support.sample_parts import (
     calibration,
@@ -111,10 +111,9 @@ def view(*, N: int = 6000, seed: int = 3, name: str = "swing-07", d_2: float = 0
     )
 
 
-def whiteness_of(outside: int) -> str:
-    """The sentence of a residual with so many lags outside."""
-    remark = f" ({INCOMPLETE})" if outside > 3 else ""
-    return f"whiteness: {outside} of 20 lags outside 95 %{remark}"
+def whiteness_of(outside: int) -> Whiteness:
+    """The test of a residual with so many lags outside."""
+    return Whiteness(outside, 20, meaning="incomplete" if outside > 3 else "")
 
 
 def estimate(*, extended: bool = False, rmse: float = 0.031, held_out: float = 0.034) -> Estimate:
@@ -124,7 +123,7 @@ def estimate(*, extended: bool = False, rmse: float = 0.031, held_out: float = 0
         Estimated("d", 0.081 if extended else 0.33, "N m s/rad", std_error=0.004, start=0.1),
         Estimated("s", 0.902 if extended else 0.87, "N m s^2/m", std_error=0.006, start=1.0),
         Estimated("I", 1.0, "kg m^2", known=True),
-        Estimated("z_s", 0.0, "m", start=0.1, note="at lower bound"),
+        Estimated("z_s", 0.0, "m", start=0.1, note="at lower bound", bound="lower"),
     ]
     if extended:
         parameters.append(Estimated("d_2", 0.349, "N m s^2/rad^2", std_error=0.011, start=0.0))
@@ -350,7 +349,7 @@ def hostile() -> Diagnosis:
         initial_states=(bad,),
         uncertainty=replace(estimate().uncertainty, assumes=h),
         solver=replace(estimate().solver, status=h),
-        fit=Agreement({h: {h: 0.1}}, {h: {h: 50.0}}, {h: h}),
+        fit=Agreement({h: {h: 0.1}}, {h: {h: 50.0}}, {h: Whiteness(0, 20, h)}),
         held_out=Agreement({h: {h: 0.1}}, {h: {h: 50.0}}),
         identifiability=Identifiability(0, 1, 0.0, h),
         units={h: h},

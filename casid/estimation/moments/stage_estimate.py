@@ -178,12 +178,7 @@ def _add_fits(builder: EstimateBuilder, st: StageFit) -> None:
         left = e.equation.left.samples(e.signals, e.start)
         nrmse = float(100 * (1 - np.linalg.norm(error) / max(float(np.linalg.norm(left)), TINY)))
         builder.add_fit(part.record, output, float(np.sqrt(np.mean(error**2))), nrmse)
-        builder.add_whiteness(
-            part.name,
-            error,
-            "filtered equation error",
-            "autocorrelated; the error bars allow for it",
-        )
+        builder.add_whiteness(part.name, error, "filtered equation error", "allowed for")
 
 
 def _method(fits: Sequence[StageFit], settings: MomentSettings, kind: str) -> str:
