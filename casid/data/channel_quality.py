@@ -77,7 +77,6 @@ readings with noise repeat by chance, on a coarse grid, and not so often."""
 GATHERS_SPEED = 2.7
 """Distance after eight samples over that after four beyond which a motion began from rest; between
 the 7/3 of what leaves a limit and the 3 of what gathers speed, see `_rests_at_an_end`."""
-_CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
 def stuck_channels(
@@ -101,9 +100,7 @@ def stuck_channels(
     for numbers, findings in (channel_quality(record, c, shown.get(c, "")) for c in present):
         if numbers.at_extreme >= least * record.N:
             found += [
-                f
-                for f in findings
-                if f.text.startswith(_CONSTANT) or (are_measured and f.text.endswith(_CLIPPED))
+                f for f in findings if f.about == "rest" or (are_measured and f.about == "limit")
             ]
     return tuple(found)
 
@@ -168,9 +165,10 @@ def _constant(name: str, value: float, unit: str) -> Finding:
     return Finding(
         "warning",
         name,
-        f"{_CONSTANT} {value + 0.0:.6g}{_behind(unit)}.",
+        f"constant at {value + 0.0:.6g}{_behind(unit)}.",
         "Right for an input that is held throughout, as after a step at its start; a sensor that "
         "shows it is stuck: check it and the mapping, or leave it out.",
+        about="rest",
     )
 
 
@@ -195,8 +193,9 @@ def _equal_samples(
                 f"{plateau} equal samples at the "
                 f"{'maximum' if value == x[~mask].max() else 'minimum'} "
                 f"{float(from_si(value, shown)) + 0.0:.6g}{_behind(shown)}, first at "
-                f"t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
+                f"t = {record.t[plateau_start]:.6g} s: possibly clipped.",
                 "Check the sensor's range; mark the plateau missing or cut it off with a window.",
+                about="limit",
             )
         )
     is_new = run_start != plateau_start or not (findings or mask.any())

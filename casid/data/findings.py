@@ -18,6 +18,7 @@ class Finding:
     channel: str | None
     text: str
     remedy: str
+    about: Literal["rest", "limit", ""] = ""  # that a channel is constant, or stands at a limit
     mend = renamed("mend", "remedy")
 
     def __str__(self) -> str:

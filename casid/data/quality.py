@@ -220,7 +220,7 @@ def _read_file(data: str | Path, columns: Columns | None, options: ReadingOption
 
 
 def _unclear_unit(column: ColumnSurvey, taken: str) -> Finding:
-    why = next((r for r in column.remarks if r.startswith("its unit")), "its unit is not clear")
+    why = column.doubt or "its unit is not clear"
     as_what = "numbers as written" if taken == "1" else f"here taken as {taken}"
     return Finding(
         "warning",

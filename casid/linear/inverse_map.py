@@ -79,13 +79,13 @@ def invert(
     task = _task(equation, np.asarray(theta, dtype=float).ravel(), free, weight)
     p, x0, task = _start(equation, task, model_values, start or {}, bounds or {})
     rng = np.random.default_rng(2)
-    failures: list[str] = []
+    failures: list[_StuckError] = []
     for attempt in range(1 + _STARTS):
         x = _other_start(task, x0, attempt, rng) if attempt else x0
         try:
             x, r, J = _newton(task, p, x)
-        except _Stuck as reason:
-            failures.append(str(reason))
+        except _StuckError as failure:
+            failures.append(failure)
             continue
         inside = (x > task.lower) & (x < task.upper)
         typical = np.where(x0 == 0.0, 1.0, np.abs(x0))
@@ -95,10 +95,10 @@ def invert(
 
 
 def _refuse_unsolved(
-    equation: DifferenceEquation, task: _Task, p: Array, x0: Array, failure: str
+    equation: DifferenceEquation, task: _Task, p: Array, x0: Array, failure: _StuckError
 ) -> NoReturn:
     """Raise that no start converged, or that the coefficients do not determine the parameters."""
-    if not failure.startswith("rank"):  # the zero of a start value is not the reason
+    if not isinstance(failure, _RankError):  # the zero of a start value is not the reason
         x0 = np.where(x0 == 0.0, 0.3, x0)
     _require_rank(equation, task.free, x0, task.map(p, x0)[1], np.ones(len(x0), dtype=bool))
     raise SolveError(
@@ -200,8 +200,15 @@ def _checked_names(equation: DifferenceEquation, free: Sequence[str] | str) -> t
     return free
 
 
-class _Stuck(Exception):
+class _StuckError(Exception):
     """An iteration that does not converge from its start."""
+
+
+class _RankError(_StuckError):
+    """One whose Jacobian has no full rank there."""
+
+    def __init__(self) -> None:
+        super().__init__("rank deficient at the start")
 
 
 class _Map:
@@ -253,7 +260,7 @@ def _newton(task: _Task, p: Array, x: Array) -> tuple[Array, Array, Array]:
     W = None if is_square else task.weight
     for _ in range(_ITERATIONS):
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
-            raise _Stuck("not finite")
+            raise _StuckError("not finite")
         J = J.copy()
         blocked = np.zeros(len(x), dtype=bool)
         step, solve = _step(J, r, W, blocked, is_square)
@@ -277,11 +284,11 @@ def _newton(task: _Task, p: Array, x: Array) -> tuple[Array, Array, Array]:
                 return x, r, J
             t *= 0.5
             if t < 1e-6:
-                raise _Stuck("the residual stops decreasing")
+                raise _StuckError("the residual stops decreasing")
         x, r, J = new, r_new, J_new
         if is_done:
             return x, r, J.copy()
-    raise _Stuck(f"no convergence in {_ITERATIONS} steps")
+    raise _StuckError(f"no convergence in {_ITERATIONS} steps")
 
 
 def _step(
@@ -292,13 +299,13 @@ def _step(
         try:
             inverse = np.linalg.inv(J)
         except np.linalg.LinAlgError:
-            raise _Stuck("rank deficient at the start") from None
+            raise _RankError from None
     else:
         columns = ~blocked
         weighted = J[:, columns] if W is None else W @ J[:, columns]
         size = np.linalg.norm(weighted, axis=0)
         if (size == 0.0).any():
-            raise _Stuck("rank deficient at the start")
+            raise _RankError
         inverse = np.zeros((J.shape[1], J.shape[0]))
         part = np.linalg.pinv(weighted / size) / size[:, None]
         inverse[columns] = part if W is None else part @ W

@@ -65,14 +65,15 @@ def _survey_of(
         if twin is not None:
             remarks.append(f"a copy of column {twin!r}, up to scale and offset")
         numbers[name] = values
-    unit, written = unit_of_column(table, name), ""
+    unit, written, doubt = unit_of_column(table, name), "", ""
     if unit is not None and unit.unit is None and unit.is_sure:
         written = unit.text
         why = f"may be {unit.why}" if unit.why else "is not in the list of units"
-        remarks.append(f"its unit {unit.text!r} {why}")
+        doubt = f"its unit {unit.text!r} {why}"
+        remarks.append(doubt)
     read = unit.unit if unit is not None else None
     step = None if times is None or times.size != values.size else _step(times[finite])
-    return ColumnSurvey(name, read, "numeric", step, tuple(remarks), written)
+    return ColumnSurvey(name, read, "numeric", step, tuple(remarks), written, doubt)
 
 
 def _step(times: FloatArray | None) -> float | None:

@@ -45,6 +45,7 @@ class ColumnSurvey:
         None where there are no time stamps, or they are irregular.
     remarks : sentences: constant, a copy of another column, cells without a value ...
     written : the unit as the file has it where it cannot be read in one way; empty otherwise.
+    doubt : why it cannot, a sentence that is one of the remarks as well; empty otherwise.
     """
 
     name: str
@@ -53,6 +54,7 @@ class ColumnSurvey:
     Ts: float | None
     remarks: tuple[str, ...] = ()
     written: str = ""
+    doubt: str = ""
 
 
 @dataclass(slots=True)

@@ -34,7 +34,6 @@ from casid.data.reading.columns import (
 )
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.file_format import FileFormat
-from casid.data.reading.formats.text_table import NO_NAMES
 from casid.data.reading.header_units import header_unit
 from casid.data.reading.opening import open_table
 from casid.data.reading.sources import sha256, source_of
@@ -352,7 +351,7 @@ def _resolved(
         return specs, None
     if clock is None:
         alone = len(table.columns) == 1
-        bare = any(remark.startswith(NO_NAMES) for remark in table.remarks)
+        bare = table.is_numbered
         raise DataError(
             f"{table.path.name}: no time column found among {', '.join(table.columns)}. "
             + ("The file has no line of names, and the columns are numbered. " if bare else "")

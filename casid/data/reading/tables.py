@@ -33,6 +33,7 @@ class Table(ABC):
     remarks : what a user should know of how it was read.
     decimal : the decimal mark of cells that are text; None where the file leaves it open.
     origin : the first date, where the time stamps are dates.
+    is_numbered : whether the file has no names of columns, which are numbered then.
     clocks : columns that are called time stamps, the first of them the clock.
     date_column : the dates of a file that has the time of day in a column of its own.
     """
@@ -45,6 +46,7 @@ class Table(ABC):
         self.unnamed: set[str] = set()
         self.twice: dict[str, list[str]] = {}
         self.remarks: list[str] = []
+        self.is_numbered = False
         self.decimal: Mark | None = form.decimal
         self.origin: Any = None
         self.clocks: tuple[str, ...] = ()

@@ -145,7 +145,12 @@ def _table(
                     )
                     with joblib.parallel_config(**where):
                         done = campaign(
-                            run, runs, seed=seed, out=folder, batch=1, progress=_labelled(say)
+                            run,
+                            runs,
+                            seed=seed,
+                            out=folder,
+                            batch=1,
+                            progress=lambda text: say(f"calibrate: {text}"),
                         )
             return done.table, False
         except KeyboardInterrupt:
@@ -160,11 +165,3 @@ def _table(
 
 def _time_text(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-
-
-def _labelled(say: Callable[[str], None]) -> Callable[[str], None]:
-    def line(text: str) -> None:
-        if not text.endswith("were done before"):
-            say(f"calibrate: {text}")
-
-    return line

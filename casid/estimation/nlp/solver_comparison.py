@@ -122,10 +122,20 @@ def _here(
                 warnings.simplefilter("ignore")  # the row reports it
                 found = run_scipy(entry.name, names, program, start)
         return Outcome(entry.name, *found)
+    except _DoesNotFitError as error:
+        return _does_not_fit(entry, str(error))
     except CasidError as error:
         return Outcome(entry.name, reason=str(error).partition(": ")[2] or str(error))
     except Exception as error:
         return Outcome(entry.name, reason=f"{type(error).__name__}: {error}")
+
+
+class _DoesNotFitError(SolveError):
+    """A solver cannot run, because the problem is of another kind."""
+
+
+def _does_not_fit(entry: SolverEntry, why: str) -> Outcome:
+    return Outcome(entry.name, reason=why, kind="Does_Not_Fit")
 
 
 def _closed_form(compiled: Compiled) -> Solution:
@@ -135,9 +145,9 @@ def _closed_form(compiled: Compiled) -> Solution:
     x, p = (symbol.sym(name, function.numel_in(i)) for i, name in enumerate("xp"))
     f, g = function(x, p)
     if not ca.is_quadratic(f, x):
-        raise SolveError("closed form: the objective is not quadratic")
+        raise _DoesNotFitError("the objective is not quadratic")
     if not ca.is_linear(g, x):
-        raise SolveError("closed form: a constraint is not linear")
+        raise _DoesNotFitError("a constraint is not linear")
     lower, upper, low, high = compiled.box
     equality = low == high
     scale = compiled.scale
@@ -146,7 +156,7 @@ def _closed_form(compiled: Compiled) -> Solution:
     try:
         root = np.linalg.cholesky(H).T  # H = root' root: regressors with these moments
     except np.linalg.LinAlgError:
-        raise SolveError("closed form: the Hessian is not positive definite") from None
+        raise _DoesNotFitError("the Hessian is not positive definite") from None
     z = null_space_least_squares(
         root,
         -np.linalg.solve(root.T, at.gradient * scale),
@@ -159,7 +169,7 @@ def _closed_form(compiled: Compiled) -> Solution:
         (g_at >= low[~equality]) & (g_at <= high[~equality])
     )
     if not inside:
-        raise SolveError("closed form: a bound or inequality is active, it takes equalities alone")
+        raise _DoesNotFitError("a bound or inequality is active, it takes equalities alone")
     ending = ("Closed_Form", 0, 0)
     return judged(compiled.names, x, compiled.evaluate(x), scale, compiled.box, ending, NULL_SPACE)
 
@@ -175,11 +185,11 @@ def _criterion_outcome(
     if entry.name in (TRUST_CONSTR, SLSQP):
         return _here(entry, program, start, nlp.names)
     if entry.solver is None:
-        return Outcome(entry.name, reason="does not fit: the objective is no quadratic expression")
+        return _does_not_fit(entry, "does not fit: the objective is no quadratic expression")
     if entry.polish:
-        return Outcome(entry.name, reason="does not fit: Newton steps need an expression")
+        return _does_not_fit(entry, "does not fit: Newton steps need an expression")
     if not entry.takes_criterion:
-        return Outcome(entry.name, reason="does not fit: it takes no Hessian but its own")
+        return _does_not_fit(entry, "does not fit: it takes no Hessian but its own")
 
     def solve(solver: Solver) -> tuple[Solution, float]:
         """The solution by one solver, and the seconds that it took."""
@@ -279,9 +289,7 @@ def _row(
     solution = found.solution
     if solution is None:
         nan = math.nan
-        status = "Not_Installed" if found.reason.startswith("not installed") else "No_Answer"
-        status = "Does_Not_Fit" if _does_not_fit(found.reason) else status
-        return Row(entry.name, status, nan, nan, nan, nan, 0, 0, nan, None, False, found.reason)
+        return Row(entry.name, found.kind, nan, nan, nan, nan, 0, 0, nan, None, False, found.reason)
     distance = math.nan
     if reference is not None:
         tiny = 1e-9 * program.scale  # a variable at zero is measured by what it was declared to be
@@ -305,12 +313,6 @@ def _row(
         if agrees
         else _reason(entry, solution, objective, is_feasible, _resolution(program, solution.x)),
     )
-
-
-def _does_not_fit(reason: str) -> bool:
-    """Whether a solver did not run, because the problem is of another kind."""
-    kinds = ("is not quadratic", "is not linear", "does not fit", "is active", "not positive def")
-    return any(kind in reason for kind in kinds)
 
 
 def _resolution(program: Program, x: Array) -> float:

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 from casid.arrays import Array
 from casid.errors import CasidError
@@ -28,12 +28,13 @@ from casid.time_limit import time_factor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """Solver outcome: a solution, or the reason why there is none."""
+    """Solver outcome: a solution, or the reason why there is none, and its kind."""
 
     name: str
     solution: Solution | None = None
     seconds: float = float("nan")  # of one solve, the solver being built
     reason: str = ""
+    kind: Literal["No_Answer", "Not_Installed", "Does_Not_Fit"] = "No_Answer"
 
 
 _NOT_APART = "cannot be handed to a process of its own"
@@ -194,7 +195,8 @@ def run_here(name: str, solver: Solver, solve: Any) -> Outcome:
     """`solve(solver)` in this process: what it raises becomes the outcome's reason."""
     try:
         if not is_installed(solver):
-            return Outcome(name, reason="not installed: CasADi loads no plug-in of that name here")
+            why = "not installed: CasADi loads no plug-in of that name here"
+            return Outcome(name, reason=why, kind="Not_Installed")
         solution, seconds = solve(solver)
         return Outcome(name, solution, seconds)
     except CasidError as error:

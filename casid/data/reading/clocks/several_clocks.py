@@ -41,6 +41,7 @@ class UnitedTable(FrameTable):
         super().__init__(of.path, of.form, frame, units)
         self.unnamed = {c for c in of.unnamed if c in self.columns}
         self.decimal, self.origin, self.remarks = of.decimal, of.origin, list(of.remarks)
+        self.is_numbered = of.is_numbered
         self.times = times
 
     def place(self, row: int) -> str:

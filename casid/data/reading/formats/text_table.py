@@ -25,8 +25,6 @@ _MISSING += ["#BEZUG!", "<NA>", "bad", "Bad", "no data", "No Data", "NoData", "m
 _EMPTY = (
     "the file holds no header and no samples. Export the measurement again, or give another file."
 )
-NO_NAMES = "no line of names"
-"""What the remark about a file begins with that has none."""
 
 
 def _is_count(rows: list[list[str]]) -> bool:
@@ -109,12 +107,16 @@ class TextTable(Table):
         while len(columns) > 1 and all("".join(r[len(columns) - 1 :]) == "" for r in rows):
             columns.pop()  # a separator at the end of every line
             self.trailing += 1
-        one = columns[0] if len(columns) == 1 else f"{columns[0]} to {columns[-1]}"
+        are, one = (
+            ("column is", columns[0])
+            if len(columns) == 1
+            else ("columns are", f"{columns[0]} to {columns[-1]}")
+        )
         shown = ", ".join(first[: len(columns)])
         self.remarks.append(
-            f"{NO_NAMES}: the {'column is' if len(columns) == 1 else 'columns are'} called {one}, "
-            f"and the first row is {shown}"
+            f"no line of names: the {are} called {one}, and the first row is {shown}"
         )
+        self.is_numbered = True
         self.name_columns(columns)
 
     def _lines_of_comment(self) -> list[int]:

@@ -16,6 +16,7 @@ from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial.criterion import PredictionErrors
 from casid.estimation.prediction_error.polynomial.estimation import prediction_error
+from casid.estimation.prediction_error.polynomial.notes import offsets
 from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, without_noise
@@ -66,7 +67,10 @@ def joint(
         records.append({n: np.concatenate([rest, own[n]]) for n in data.inputs})
         outputs.append(np.concatenate([rest, s * found.h[OUTPUT][r]]))
     model = prediction_error(outputs, records, plain, Ts=data.Ts, discard=0, solver=solver)
-    notes = [n for n in model.notes if "offset" not in n and "discarded" not in n]
+    of_means = offsets(
+        list(zip(outputs, records, strict=True))
+    )  # a response has no mean to take off
+    notes = [n for n in model.notes if n not in of_means]
     if late := found.unsettled():
         names = ", ".join(late)
         notes.append(
