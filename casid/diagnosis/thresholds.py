@@ -752,7 +752,7 @@ class Jumps:
     knock: float = _is(
         10.0,
         "samples that a force lasts whose impulse a knock is first tried with",
-        f"{TESTS}/verdict/test_open_set.py",
+        f"{TESTS}/verdict/test_unknown_cause.py",
     )
     same_event: float = _is(
         1.2, "steps of the first grid within which it is one event", POWER_STUDY
@@ -1179,7 +1179,7 @@ class Judging:
     doubtful: float = _is(
         0.15,
         "share of the excess misfit left, above which the one cause named is not the cause",
-        f"{TESTS}/verdict/test_open_set.py",
+        f"{TESTS}/verdict/test_unknown_cause.py",
     )
     practical: float = _is(
         0.02,

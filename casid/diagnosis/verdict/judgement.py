@@ -28,13 +28,6 @@ from casid.diagnosis.verdict.gain import (
     views,
 )
 from casid.diagnosis.verdict.not_accepted import refusal_notes, with_refusal_reasons
-from casid.diagnosis.verdict.open_set import (
-    Remainder,
-    described,
-    tested_remainder,
-    with_the_unknown,
-    with_the_unnamed_alternative,
-)
 from casid.diagnosis.verdict.ranking import ranking
 from casid.diagnosis.verdict.remainder import (
     Moved,
@@ -45,6 +38,8 @@ from casid.diagnosis.verdict.remainder import (
     what_remains,
 )
 from casid.diagnosis.verdict.sentences import verdict_sentence
+from casid.diagnosis.verdict.tested_remainder import Remainder, described, tested_remainder
+from casid.diagnosis.verdict.unknown_cause import with_the_unknown, with_the_unnamed_alternative
 from casid.diagnosis.verdict.unnamed_alternatives import unnamed_alternatives
 from casid.estimation.estimate import Estimate, RecordView
 from casid.estimation.fit_statistics import poor_fit_text, poor_outputs
@@ -93,9 +88,9 @@ class Judgement:
 
 def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgement:
     """Name the causes, compute how much they explain, and decide."""
-    start, attempt = found.baseline, found.search.attempts.attempt
-    baseline = _baseline(problem, found)
+    start, baseline = found.baseline, _baseline(problem, found)
     extended = _extended(problem, found, baseline)
+    last = extended or baseline
     remainder = _tested(found)
     disturbances = remainder.disturbances if remainder is not None else ()
     # Causes found under a disturbance explain what it leaves.
@@ -104,47 +99,34 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     part = held if held.get("extended_rmse") else fitted
     # What is held out has another disturbance in it, but one that its past predicts.
     is_random = is_disturbed and predicts_held_out(found, remainder)
-    causes = causes_of(found, extended or baseline, problem.columns())
-    with_sign = partial(_with_the_sign, found)
-    poor = _left_to_disturbances(found, disturbances, extended or baseline)
+    named = causes_of(found, last, problem.columns())
+    poor = _left_to_disturbances(found, disturbances, last)
     remaining = _remaining(
         found,
-        with_sign(causes),
+        _with_the_sign(found, named),
         errors,
-        extended or baseline,
+        last,
         remainder,
         false_alarm_rate,
         is_random=is_random,
         is_poor=bool(poor),
     )
-    bounds = bounds_met(problem, found.best_fit)
-    if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
-        # A parameter held at its bound leaves misfit of its own: it is named first.
-        causes = with_the_unknown(
-            causes, remainder, remaining, found.search.refused, is_disturbed=is_disturbed
-        )
-    compare = partial(_compared_with_functions, found, causes, remainder)
-    compared = attempt("the comparison with functions outside the catalogue", compare)
-    causes, remainder = compared or (causes, remainder)
-    causes = with_refusal_reasons(with_sign(causes), found.search.refused)
+    causes, remainder = _with_what_has_no_name(
+        problem, found, named, remainder, remaining, is_disturbed=is_disturbed
+    )
+    causes = with_refusal_reasons(_with_the_sign(found, causes), found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = _unlike(found, fitted, held, baseline, beside)
-    why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
+    why, bounds = _undecided(problem, found, beside, unlike, disturbances)
     doubts = _doubts(found, remainder, bounds, poor)
-    verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
+    verdict: Verdict = "deficient" if causes else "undecided" if why else "adequate"
+    untested = start.why_undecided
     return Judgement(
         verdict=verdict,
         sentence=verdict_sentence(
-            verdict,
-            causes,
-            part,
-            why_undecided,
-            problem,
-            disturbances,
-            start.why_undecided,
-            doubts,
+            verdict, causes, part, why, problem, disturbances, untested, doubts
         ),
-        why_undecided=why_undecided,
+        why_undecided=why,
         causes=tuple(causes),
         remainders=remainders_of(found),
         ranking=ranking(found.search, found.adopted, causes),
@@ -400,6 +382,30 @@ def _why_undecided(
     if disturbances and not none_is_known(at, partial(std_error, at.fit)):
         return ""
     return start.why_doubtful
+
+
+def _with_what_has_no_name(
+    problem: Problem,
+    found: Findings,
+    causes: list[Cause],
+    remainder: Remainder | None,
+    remaining: Remaining | None,
+    *,
+    is_disturbed: bool,
+) -> tuple[list[Cause], Remainder | None]:
+    """The causes with one of kind "unknown" where they leave much, or functions explain more.
+
+    A parameter held at its bound leaves misfit of its own: it is named first.
+    """
+    is_something = remainder is not None and remainder.unexplained is not None
+    if is_something and (causes or not bounds_met(problem, found.best_fit)):
+        assert remainder is not None
+        causes = with_the_unknown(
+            causes, remainder, remaining, found.search.refused, is_disturbed=is_disturbed
+        )
+    compare = partial(_compared_with_functions, found, causes, remainder)
+    what = "the comparison with functions outside the catalogue"
+    return found.search.attempts.attempt(what, compare) or (causes, remainder)
 
 
 def _compared_with_functions(

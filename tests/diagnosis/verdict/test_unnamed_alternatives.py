@@ -15,7 +15,7 @@ import casid
 from casid.diagnosis.diagnosis import Cause
 from casid.diagnosis.evidence.candidate_functions import functions_of
 from casid.diagnosis.thresholds import COMPARISON
-from casid.diagnosis.verdict.open_set import with_the_unnamed_alternative
+from casid.diagnosis.verdict.unknown_cause import with_the_unnamed_alternative
 from casid.diagnosis.verdict.unnamed_alternatives import UnnamedAlternative
 from casid.errors import ModelError
 from casid.model.effects.balance_effects import extra_input

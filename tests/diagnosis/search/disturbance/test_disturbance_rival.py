@@ -25,12 +25,12 @@ from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.verdict import judgement
-from casid.diagnosis.verdict.open_set import Remainder
+from casid.diagnosis.verdict.tested_remainder import Remainder
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.parameter_effects import parameter_jump
-from tests.diagnosis.verdict.test_open_set import left
+from tests.diagnosis.verdict.test_unknown_cause import left
 
 TS, N, SD = 0.1, 3000, 0.002
 B, C, K = 0.05, 0.8, 0.25

@@ -15,8 +15,9 @@ import casid
 from casid.diagnosis.diagnosis import Cause
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.cause import Alternative
-from casid.diagnosis.verdict.open_set import Remainder, with_the_unknown
 from casid.diagnosis.verdict.remainder import Remaining
+from casid.diagnosis.verdict.tested_remainder import Remainder
+from casid.diagnosis.verdict.unknown_cause import with_the_unknown
 from problems import pendulum
 from tests.diagnosis.test_diagnose import record_of
 from tests.support import samples, truth, truth_effects
