@@ -23,6 +23,7 @@ class RemedyRow:
     Attributes
     ----------
     remark : where its bias comes from, what it models; empty where there is nothing to add.
+    has_known_stage : whether its first stage is known: no choice where that has to be estimated.
     """
 
     name: str
@@ -30,6 +31,7 @@ class RemedyRow:
     result: Asymptotics | None
     refused: str = ""
     remark: str = ""
+    has_known_stage: bool = False
 
     def estimates(self, parameter: str) -> bool:
         """Whether it estimates this coefficient's true value."""
@@ -125,8 +127,7 @@ class Comparison(Presented):
                 "..})"
             )
         rows = [r for r in self.rows if r.estimates(parameter) and r.kind != "known"]
-        # A first stage that is known is no choice where it has to be estimated.
-        rows = [r for r in rows if not r.name.endswith("first stage known")]
+        rows = [r for r in rows if not r.has_known_stage]
         return sorted(rows, key=lambda r: r.rmse(parameter, self.N))
 
     def best(self, parameter: str) -> Choice | None:

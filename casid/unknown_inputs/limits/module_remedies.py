@@ -118,7 +118,7 @@ class _Task:
             own, sources = self._explained(own, sources)
         true = {n: v for n, v in self.truth.items() if n in Layout.of(own, list(sources)).names}
         replaced = [n for n, signal in sources.items() if n != signal]
-        first = f"predict from {row.name.removeprefix('measure ')}, two-stage"
+        first = f"predict from {row.signals}, two-stage"
 
         def direct(orders: Orders) -> Asymptotics:
             return prediction_error_limit(

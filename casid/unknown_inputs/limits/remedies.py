@@ -8,7 +8,7 @@ with a sensor that it acts on. One call gives each remedy's limit, covariance an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from casid.argument_types import names_wrong_types
@@ -41,11 +41,13 @@ class Remedy:
     kind : "known", "neglect", "approximate", "predict", "measure", "eliminate" or "own".
     estimator : a `Regression`, or a function of the system that returns `Asymptotics` (such as
         one that calls `prediction_error_limit`).
+    has_known_stage : whether its first stage is known: no choice where that has to be estimated.
     """
 
     name: str
     kind: str
     estimator: Regression | Estimator
+    has_known_stage: bool = False
 
 
 @names_wrong_types(ModelError)
@@ -196,7 +198,6 @@ class _Task:
                 yield Remedy(f"{row.name}, IV", row.kind, self._instrumental(terms))
 
     def _predictions(self, row: Substitution) -> Iterator[Remedy]:
-        of = row.name.removeprefix("measure ")
         for is_known, text in ((False, "two-stage"), (True, "first stage known")):
             stages = {
                 f"{name} predicted": FirstStage(signal, self.known, is_known)
@@ -204,7 +205,8 @@ class _Task:
             }
             terms = self._terms({name: f"{name} predicted" for name in row.by})
             estimator = self._regression(terms, None, stages)
-            yield Remedy(f"predict from {of}, {text}", "predict", estimator)
+            name = f"predict from {row.signals}, {text}"
+            yield Remedy(name, "predict", estimator, has_known_stage=is_known)
 
     def _terms(self, by: Mapping[str, str]) -> dict[str, Term]:
         """The regressors, unknown inputs replaced by signals; without one they are left out."""
@@ -247,4 +249,5 @@ def _row(system: LinearSignals, remedy: Remedy, truth: Mapping[str, Any]) -> Rem
         true = {n: truth[n] for n in remedy.estimator.regressors if n in truth}
         return regression_limit(system, remedy.estimator, true, method=remedy.name)
 
-    return attempted_row(remedy.name, remedy.kind, estimate, raised=ModelError)
+    row = attempted_row(remedy.name, remedy.kind, estimate, raised=ModelError)
+    return replace(row, has_known_stage=remedy.has_known_stage)

@@ -24,12 +24,14 @@ class Substitution:
     name : of the remedy in tables, without its estimator. kind : as of `Remedy`.
     by : unknown input -> signal; an input that has none is neglected.
     explained : known signals that are added in the place of the neglected inputs.
+    signals : those that replace them, in words.
     """
 
     name: str
     kind: str
     by: Mapping[str, str]
     explained: Any = ()
+    signals: str = ""
 
 
 def remedy_table(
@@ -61,7 +63,7 @@ def remedy_table(
                 )
         neglected = ", ".join(name for name in unknown if name not in (by or {}))
         text = ", ".join((by or {}).values()) + (f" and neglect {neglected}" if neglected else "")
-        return [Substitution(f"{verb} {text}", kind, dict(by))] if by else []
+        return [Substitution(f"{verb} {text}", kind, dict(by), signals=text)] if by else []
 
     return [
         Substitution("all inputs known", "known", {name: name for name in unknown}),
