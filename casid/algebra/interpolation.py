@@ -307,8 +307,8 @@ def _chinese(
     return [(c + (s - c) * step) % total for c, s in zip(combined, solved, strict=True)], total
 
 
-def _agrees(function: RationalFunction, samples: Samples, i: int, count: int = 3) -> bool:
-    points, values = samples.where_vary(samples.variables, count)
+def _agrees(function: RationalFunction, samples: Samples, i: int) -> bool:
+    points, values = samples.where_vary(samples.variables, 3)
     try:
         return all(
             function.at(

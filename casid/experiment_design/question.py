@@ -51,7 +51,6 @@ class Question:
     effects : the causes, in the order of the aim.
     sizes : of each cause, parameter of the effect -> value, SI; the first of several.
     others : of each cause the further sizes that it may have.
-    scenario : of each comparison, which set of parameter values it holds for.
     truths : of each comparison of causes, the size of the truth.
     """
 
@@ -60,7 +59,6 @@ class Question:
     targets: tuple[Target, ...]
     effects: tuple[Effect, ...] = ()
     sizes: tuple[Mapping[str, float], ...] = ()
-    scenario: tuple[int, ...] = ()
     others: tuple[tuple[Mapping[str, float], ...], ...] = ()
     truths: tuple[Mapping[str, float], ...] = ()
 
@@ -112,15 +110,13 @@ def question_of(
     others = tuple(tuple(s[1:]) for s in given)
     hypotheses: list[Hypothesis] = []
     comparisons: list[Comparison] = []
-    scenario: list[int] = []
     truths: list[Mapping[str, float]] = []
     pairs = list(permutations(range(len(effects)), 2)) if len(effects) > 1 else [(0, None)]
-    for (k, own), (a, b) in product(enumerate(bases), pairs):
+    for own, (a, b) in product(bases, pairs):
         rival = own if b is None else with_cause(own, effects[b], full[b])
         for size in (full[a], *others[a]):
             comparisons.append(Comparison(len(hypotheses), len(hypotheses) + 1))
             hypotheses += [with_cause(own, effects[a], size), rival]
-            scenario.append(k)
             truths.append(size)
     return Question(
         tuple(hypotheses),
@@ -128,7 +124,6 @@ def question_of(
         (MISFIT,) * len(comparisons),
         tuple(effects),
         tuple(full),
-        tuple(scenario),
         others,
         tuple(truths),
     )
@@ -165,7 +160,6 @@ def _of_parameters(aim: Aim, setup: Setup, bases: Sequence[Hypothesis]) -> Quest
         tuple(bases),
         tuple(Comparison(None, i) for i in range(len(bases))),
         tuple(targets),
-        scenario=tuple(range(len(bases))),
     )
 
 

@@ -66,9 +66,7 @@ def separation_constant(*, margin: float = PLANNING.margin, power: float = PLANN
     return (z + sqrt(z * z + margin)) ** 2
 
 
-def separation_energy(
-    cosine: float, *, margin: float = PLANNING.margin, power: float = PLANNING.power
-) -> float:
+def separation_energy(cosine: float, *, margin: float = PLANNING.margin) -> float:
     """Energy (3) of the misfit that separates the right one of two causes; may be inf.
 
     Parameters
@@ -76,7 +74,7 @@ def separation_energy(
     cosine : of the causes' whitened, projected signatures.
     """
     apart = 1.0 - min(cosine * cosine, 1.0)
-    constant = separation_constant(margin=margin, power=power)
+    constant = separation_constant(margin=margin)
     return constant / apart if apart > 1e-10 else float("inf")
 
 

@@ -14,7 +14,6 @@ from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import none_is_known, still_inputs, weak_parameters
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
-from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign, with_the_sizes
 from casid.diagnosis.verdict.error_bars import bars_of, unknown_sizes
 from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
@@ -36,6 +35,12 @@ from casid.diagnosis.verdict.remainder import (
     moved_parameters,
     over_floors,
     what_remains,
+)
+from casid.diagnosis.verdict.reported_causes import (
+    causes_of,
+    remainders_of,
+    with_the_sign,
+    with_the_sizes,
 )
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.diagnosis.verdict.tested_remainder import Remainder, described, tested_remainder

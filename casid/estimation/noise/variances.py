@@ -49,7 +49,6 @@ def estimate_noise(
     *,
     known: Mapping[str, float] | None = None,
     residuals: Sequence[Array] | None = None,
-    merge: bool = True,
     responses: Sequence[Response] | None = None,
     has_disturbances: bool = True,
     seen_through: ResidualWindows | None = None,
@@ -82,7 +81,7 @@ def estimate_noise(
     alike: list[tuple[str, ...]] = [(name,) for name in every if name in stated]
     found_in = [*criterion.model.inputs, *(criterion.model.balances if has_disturbances else ())]
     rest = [name for name in every if name not in stated and name in found_in]
-    alike += _alike(responses, criterion.weights, every, rest) if merge else [(n,) for n in rest]
+    alike += _alike(responses, criterion.weights, every, rest)
     sources = [group[0] for group in alike]
     given = given_variances(criterion.outputs, sources, known, stated)
     used = [d.used.copy() for d in criterion.data]

@@ -161,11 +161,9 @@ class Effect:
     def __repr__(self) -> str:
         return f"<Effect {self.kind} in {self.key[1]}>"
 
-    def extend(
-        self, model: Model, *, starts: Mapping[str, float] | None = None, upper: float | None = None
-    ) -> Model:
+    def extend(self, model: Model, *, starts: Mapping[str, float] | None = None) -> Model:
         """A copy of `model` with this effect; `starts` by the effect's own parameter names."""
-        new, _ = self.extended(model, starts=starts, upper=upper)
+        new, _ = self.extended(model, starts=starts)
         return new
 
     def extended(

@@ -16,7 +16,7 @@ from casid.diagnosis.search.refinement import Adoption, Refinement, whole_fit
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.diagnosis.thresholds import JUDGING
-from casid.diagnosis.verdict.causes import remainders_of
+from casid.diagnosis.verdict.reported_causes import remainders_of
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import (
