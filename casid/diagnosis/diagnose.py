@@ -162,6 +162,7 @@ def diagnose(
     require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
+    # Verdict and advice.
     found, judged, note = _judged_or_whole(problem, found, split, settings)
     notes = [*_notes_on_written(written), *problem_notes(problem, split.fitted), *note]
     diagnosis = _concluded(problem, found, judged, calibration, settings, plan=advise, notes=notes)
@@ -194,11 +195,50 @@ def _found(
     return found, calibration
 
 
-def _judged(problem: Problem, found: Findings, settings: DiagnosisSettings) -> Judgement:
-    """The verdict, which may take what is left of the time."""
-    attempts = found.search.attempts
-    attempts.ends = max(settings.ends, attempts.ends)
-    return judge(problem, found, settings.alpha)
+def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Findings:
+    """The baseline fitted, and the causes that it is missing.
+
+    Levels in gaps of inputs that are estimated by the outputs take up a part of what the model is
+    missing, and no error bar contains that: causes that are found with them are sought once more
+    with levels by the inputs alone, where what the gaps leave is a disturbance. Where levels by the
+    outputs leave much that is no noise, they are sought with those by the inputs at once.
+    """
+    baseline = fit_baseline(problem, split, settings)
+    by_inputs = replace(settings, levels_by_outputs=False)
+    if baseline.levels and not baseline.why_undecided and baseline.start.noise_absorbs_misfit:
+        settings.progress("estimate levels in gaps by the inputs alone: what is left is no gap's")
+        return search_causes(problem, fit_baseline(problem, split, by_inputs), by_inputs)
+    found = search_causes(problem, baseline, settings)
+    is_late = wall_clock() > (settings.began + settings.search_ends) / 2
+    if not found.adopted or not found.baseline.levels or is_late:
+        return found
+    settings.progress("repeat with levels in gaps by the inputs alone")
+    held = search_causes(problem, fit_baseline(problem, split, by_inputs), by_inputs)
+    return held if held.adopted else found
+
+
+def _calibrated(
+    problem: Problem, found: Findings, settings: DiagnosisSettings, runs: int
+) -> Calibration:
+    """The false-alarm rate of this very diagnosis, one cause being an alarm."""
+    null = partial(
+        diagnose,
+        max_causes=1,
+        without=tuple(settings.without),
+        advise=False,
+        starts=1,
+        solver=settings.fit.solver,
+        seed=settings.fit.seed,
+    )
+    return run_calibration(
+        problem,
+        recipe_of(found.baseline.split, found.baseline.start, found.base_fit),
+        diagnose_null=null,
+        alpha=settings.alpha,
+        runs=runs,
+        seed=settings.fit.seed,
+        progress=settings.progress,
+    )
 
 
 def _judged_or_whole(
@@ -232,6 +272,13 @@ def _judged_or_whole(
         "left to confirm them"
     )
     return again, of_whole, [note]
+
+
+def _judged(problem: Problem, found: Findings, settings: DiagnosisSettings) -> Judgement:
+    """The verdict, which may take what is left of the time."""
+    attempts = found.search.attempts
+    attempts.ends = max(settings.ends, attempts.ends)
+    return judge(problem, found, settings.alpha)
 
 
 def _explains_more(of_whole: Judgement, of_part: Judgement) -> bool:
@@ -302,52 +349,6 @@ def _notes_on_written(outputs: Mapping[str, str]) -> list[str]:
         "responds to every force, a force that is missing there moves it too"
         for output, balance in outputs.items()
     ]
-
-
-def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Findings:
-    """The baseline fitted, and the causes that it is missing.
-
-    Levels in gaps of inputs that are estimated by the outputs take up a part of what the model is
-    missing, and no error bar contains that: causes that are found with them are sought once more
-    with levels by the inputs alone, where what the gaps leave is a disturbance. Where levels by the
-    outputs leave much that is no noise, they are sought with those by the inputs at once.
-    """
-    baseline = fit_baseline(problem, split, settings)
-    by_inputs = replace(settings, levels_by_outputs=False)
-    if baseline.levels and not baseline.why_undecided and baseline.start.noise_absorbs_misfit:
-        settings.progress("estimate levels in gaps by the inputs alone: what is left is no gap's")
-        return search_causes(problem, fit_baseline(problem, split, by_inputs), by_inputs)
-    found = search_causes(problem, baseline, settings)
-    is_late = wall_clock() > (settings.began + settings.search_ends) / 2
-    if not found.adopted or not found.baseline.levels or is_late:
-        return found
-    settings.progress("repeat with levels in gaps by the inputs alone")
-    held = search_causes(problem, fit_baseline(problem, split, by_inputs), by_inputs)
-    return held if held.adopted else found
-
-
-def _calibrated(
-    problem: Problem, found: Findings, settings: DiagnosisSettings, runs: int
-) -> Calibration:
-    """The false-alarm rate of this very diagnosis, one cause being an alarm."""
-    null = partial(
-        diagnose,
-        max_causes=1,
-        without=tuple(settings.without),
-        advise=False,
-        starts=1,
-        solver=settings.fit.solver,
-        seed=settings.fit.seed,
-    )
-    return run_calibration(
-        problem,
-        recipe_of(found.baseline.split, found.baseline.start, found.base_fit),
-        diagnose_null=null,
-        alpha=settings.alpha,
-        runs=runs,
-        seed=settings.fit.seed,
-        progress=settings.progress,
-    )
 
 
 def _settings_in_words(found: Findings, settings: FitSettings, alpha: float) -> dict[str, str]:
