@@ -30,6 +30,7 @@ from casid.diagnosis.verdict.judgement import (
     judge,
     notes_on,
 )
+from casid.diagnosis.verdict.not_accepted import refusal_notes
 from casid.diagnosis.verdict.sentences import noise_text
 from casid.errors import OutOfTimeError
 from casid.estimation.estimate import Origin
@@ -306,6 +307,7 @@ def _concluded(
     """
     false_alarm_rate = settings.alpha
     advice = recommend(problem, found, judged, plan=plan)
+    refused = tuple(refusal_notes(found.search.refused, judged.causes))
     remainder = judged.remainder
     # The noise is that beside the disturbances that are reported.
     beside = remainder.beside if remainder is not None else None
@@ -330,12 +332,13 @@ def _concluded(
         proposals=advice.proposals,
         limits=Limits(
             false_alarm_rate=false_alarm_rate,
-            notes=(*advice.notes, *notes_on(problem, found, judged), *notes),
+            notes=(*advice.notes, *notes_on(problem, found, judged, refused), *notes),
             unexplained=remainder.unexplained if remainder is not None else None,
             isolability=advice.isolability,
             undetectable=advice.undetectable,
             calibration=calibration,
             not_done=tuple(found.search.attempts.not_done),
+            not_accepted=refused,
         ),
         origin=Origin(judged.baseline.provenance, versions(), SOURCES),
         settings=_settings_in_words(found, settings.fit, false_alarm_rate),

@@ -68,6 +68,7 @@ class Limits:
     undetectable: tuple[Undetectable, ...] = ()
     calibration: Calibration | None = None  # false alarms counted on simulated records
     not_done: tuple[str, ...] = ()  # what the budget of time left no room for
+    not_accepted: tuple[str, ...] = ()  # the notes on effects that are significant, and no causes
     invisible = renamed("invisible", "undetectable")
 
 
@@ -109,6 +110,7 @@ class Diagnosis(Presented, Saved):
     invisible = renamed("invisible", "undetectable")
     calibration: ClassVar[Grouped[Calibration | None]] = Grouped("limits")
     not_done: ClassVar[Grouped[tuple[str, ...]]] = Grouped("limits")
+    not_accepted: ClassVar[Grouped[tuple[str, ...]]] = Grouped("limits")
     provenance: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
     versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")
     sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")

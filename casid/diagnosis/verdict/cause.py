@@ -12,9 +12,6 @@ from casid.model.effects.effect import LATE
 from casid.model.effects.names import effect_words
 from casid.model.units import parse_unit, si_unit
 
-NOT_ACCEPTED = "is significant but was not accepted"
-"""What a note says of an effect that was refused; its name stands before it."""
-
 Verdict = Literal["adequate", "deficient", "undecided"]
 
 

@@ -26,7 +26,7 @@ from casid.diagnosis.verdict.gain import (
     unlike_under_disturbance,
     views,
 )
-from casid.diagnosis.verdict.not_accepted import refusal_notes, with_refusal_reasons
+from casid.diagnosis.verdict.not_accepted import with_refusal_reasons
 from casid.diagnosis.verdict.ranking import ranking
 from casid.diagnosis.verdict.remainder import (
     Moved,
@@ -435,8 +435,10 @@ def _compared_with_functions(
     return with_the_unnamed_alternative(named, best, whole), whole
 
 
-def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str, ...]:
-    """Notes that qualify a diagnosis."""
+def notes_on(
+    problem: Problem, found: Findings, judged: Judgement, not_accepted: Sequence[str]
+) -> tuple[str, ...]:
+    """Notes that qualify a diagnosis, `not_accepted` those of `refusal_notes` among them."""
     search, base, negated = found.search, found.baseline, found.baseline.negated
     notes = channel_notes(problem.model, [*base.recorded.whole, *base.recorded.apart])
     notes += base.notes
@@ -468,7 +470,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
     ]
     if judged.verdict == "deficient":
         notes += exact_constants(problem.model)
-    notes += refusal_notes(search.refused, judged.causes)
+    notes += not_accepted
     notes += [why for why in search.refitting.left_out.values() if why]
     return (*notes, *search.attempts.notes())
 

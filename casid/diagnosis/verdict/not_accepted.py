@@ -11,11 +11,14 @@ from dataclasses import replace
 
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.refusals import Refusal
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Alternative, Cause
+from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.model.effects.effect import Effect
 
 Refused = Sequence[tuple[Candidate, Refusal]]
 """Candidates, and why each was refused."""
+
+NOT_ACCEPTED = "is significant but was not accepted"
+"""What a note says of an effect that was refused; its name stands before it."""
 
 _Identity = tuple[str, str, str]  # kind, place and description
 

@@ -10,7 +10,6 @@ from casid.diagnosis.advice.next_experiment import Advice
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.diagnosis.facts import Facts
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED
 from casid.estimation.estimate import Estimated
 from casid.model.effects.names import effect_words
 from casid.model.quantities import count_text, instant_text, shortened
@@ -61,7 +60,7 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
 
 def _notes(d: Diagnosis) -> Iterator[str]:
     """The notes, of effects that were not accepted the first few."""
-    refused = [n for n in d.notes if NOT_ACCEPTED in n]
+    refused = d.not_accepted
     yield from (n for n in d.notes if n not in refused[_REFUSED:])
     if len(refused) > _REFUSED:
         others = count_text(len(refused) - _REFUSED, "other effect")

@@ -8,8 +8,7 @@ import pytest
 
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.search.refusals import Refusal
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED
-from casid.diagnosis.verdict.not_accepted import refusal_notes, with_refusal_reasons
+from casid.diagnosis.verdict.not_accepted import NOT_ACCEPTED, refusal_notes, with_refusal_reasons
 from casid.model.effects.names import LATER_THAN_RECORDED
 
 WHY = "it does not lower the error of the fitted part"

@@ -15,8 +15,9 @@ from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.evidence.disturbances import Disturbance
-from casid.diagnosis.verdict.cause import NOT_ACCEPTED, Doubts, Ranked
+from casid.diagnosis.verdict.cause import Doubts, Ranked
 from casid.diagnosis.verdict.gain import changes, improves
+from casid.diagnosis.verdict.not_accepted import NOT_ACCEPTED
 from casid.diagnosis.verdict.sentences import (
     noise_text,
     says,
@@ -308,7 +309,8 @@ def effect_at(effect: SimpleNamespace) -> SimpleNamespace:
 
 def test_of_effects_that_were_not_accepted_the_text_has_three_and_counts_the_others():
     notes = tuple(f"effect {i} {NOT_ACCEPTED}: too weak" for i in range(8))
-    text = str(changed(small(), notes=("the first", *notes, "the last")))
+    found = changed(small(), notes=("the first", *notes, "the last"), not_accepted=notes)
+    text = str(found)
     assert text.count(NOT_ACCEPTED) == 3
     assert "5 other effects likewise: the report and diagnosis.json have all notes" in text
     assert "the first" in text
