@@ -199,28 +199,28 @@ class Agreement:
 
     rmse: Measure = field(default_factory=dict)  # rms simulation error
     nrmse: Measure = field(default_factory=dict)  # per cent
-    residuals: Mapping[str, Whiteness] = field(default_factory=dict)  # output -> test
+    whiteness_tests: Mapping[str, Whiteness] = field(default_factory=dict)  # output -> test
     measured_by: str = "Free simulation against the measured outputs"
 
     @property
     def whiteness(self) -> dict[str, str]:
         """Output -> the test of its residual, in words."""
-        return {k: str(test) for k, test in self.residuals.items()}
+        return {k: str(test) for k, test in self.whiteness_tests.items()}
 
     @property
     def coloured(self) -> dict[str, str]:
         """Outputs whose residual should be white and is not, with the lags outside the band."""
-        return {k: t.counts for k, t in self.residuals.items() if t.meaning == "incomplete"}
+        return {k: t.counts for k, t in self.whiteness_tests.items() if t.meaning == "incomplete"}
 
     @property
     def untold(self) -> tuple[str, ...]:
         """Outputs with too few samples to tell whether their residual is white."""
-        return tuple(k for k, t in self.residuals.items() if t.meaning == "too few")
+        return tuple(k for k, t in self.whiteness_tests.items() if t.meaning == "too few")
 
     @property
     def autocorrelated(self) -> dict[str, str]:
         """Outputs with more than three lags outside the band, expected by the method or not."""
-        return {k: t.counts for k, t in self.residuals.items() if t.is_coloured}
+        return {k: t.counts for k, t in self.whiteness_tests.items() if t.is_coloured}
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,7 @@ def _tests_of_sentences(held: dict[str, Any]) -> dict[str, Any]:
     if "whiteness" in held:
         said = held.pop("whiteness")
         test = class_at("estimation.whiteness.Whiteness")
-        held["residuals"] = {k: test.of_sentence(text) for k, text in said.items()}
+        held["whiteness_tests"] = {k: test.of_sentence(text) for k, text in said.items()}
     return held
 
 

@@ -85,7 +85,7 @@ def diagnoses(draw: st.DrawFn) -> Diagnosis:
     outside = draw(st.integers(0, 20))
     last = extended or samples.estimate()
     fit = replace(
-        last.fit, residuals={o: samples.whiteness_of(outside) for o in held["baseline_rmse"]}
+        last.fit, whiteness_tests={o: samples.whiteness_of(outside) for o in held["baseline_rmse"]}
     )
     last = replace(last, fit=fit)
     p_value = draw(st.none() | p_values)
