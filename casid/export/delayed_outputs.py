@@ -3,12 +3,13 @@
 A fit delays a simulated column by cubic convolution (`delay_columns`): the delayed output is a sum
 of four samples around the instant at which it was felt. A step keeps as many past samples as that
 takes and gives the same sum. Before its first sample a column goes on along the straight line
-through its first two samples, which the memory learns in the first step.
+through its first two samples, which the memory learns in the first step; that of an output that
+was at rest is level.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,11 +27,13 @@ class SampledDelay:
     Attributes
     ----------
     whole, weights : the delayed sample k is the sum of weights[i] y[k - whole - 2 + i], i = 0..3.
+    at_rest : before the first sample the output was what it is there.
     """
 
     place: int
     whole: int
     weights: tuple[float, ...]
+    at_rest: bool = False
 
     @property
     def kept(self) -> int:
@@ -39,14 +42,15 @@ class SampledDelay:
 
 
 def sampled_delays(
-    outputs: Sequence[str], delays: Mapping[str, float], Ts: float
+    outputs: Sequence[str], delays: Mapping[str, float], Ts: float, at_rest: Collection[str]
 ) -> list[SampledDelay]:
     """The delays [s] of `delays` at the sample time Ts [s], in the order of `outputs`."""
     found = []
     for place, name in enumerate(outputs):
         if name in delays:
             whole, weights = delay_weights(delays[name] / Ts)
-            found.append(SampledDelay(place, whole, tuple(float(w) for w in weights)))
+            numbers = tuple(float(w) for w in weights)
+            found.append(SampledDelay(place, whole, numbers, name in at_rest))
     return found
 
 
@@ -65,8 +69,9 @@ def delayed(
     kept: list[Expr] = []
     for d in delays:
         now, after = y[d.place], y_next[d.place]
+        rise = 0.0 if d.at_rest else after - now
         before = [
-            ca.if_else(has_begun > 0.5, past[first + j], now - (j + 1) * (after - now))
+            ca.if_else(has_begun > 0.5, past[first + j], now - (j + 1) * rise)
             for j in range(d.kept)
         ]
         first += d.kept

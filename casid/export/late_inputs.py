@@ -2,7 +2,8 @@
 
 A fit has a late input act as a line in each sample (`delayed_lines`): value, begin and end of the
 line are sums of three samples around the instant at which the input was given. A step keeps as many
-past samples as that takes. Before its first sample the input was what it is there.
+past samples as that takes. Before its first sample the input was what the rest that the model
+begins in says, or what it is there.
 """
 
 from __future__ import annotations
@@ -28,11 +29,13 @@ class DeadTime:
     ----------
     whole, weights : value at sample k, begin and end of the line are three sums (rows) of weights
         times u[k - whole - 1 + j], j = 0..2.
+    rest : what the input was before the first sample, where that is known, SI.
     """
 
     place: int
     whole: int
     weights: tuple[tuple[float, ...], ...]
+    rest: float | None = None
 
     @property
     def kept(self) -> int:
@@ -46,11 +49,15 @@ class DeadTime:
 
 
 def sampled_dead_times(
-    inputs: Sequence[str], dead_times: Mapping[str, float], holds: Mapping[str, Hold], Ts: float
+    inputs: Sequence[str],
+    dead_times: Mapping[str, float],
+    holds: Mapping[str, Hold],
+    Ts: float,
+    rest: Mapping[str, float],
 ) -> list[DeadTime]:
     """The dead times [s] at the sample time Ts [s], in the order of `inputs`.
 
-    What is band-limited is joined by straight lines.
+    What is band-limited is joined by straight lines. `rest` has what inputs were before, if known.
     """
     found = []
     for place, name in enumerate(inputs):
@@ -60,7 +67,7 @@ def sampled_dead_times(
             pulses = np.eye(3, 7, k=2)  # at u[k - 1], u[k] and u[k + 1] of the sample k = 3
             lines = [delayed_lines(u, samples - whole, holds[name])[0][3] for u in pulses]
             rows = tuple(tuple(row) for row in np.array(lines).T.tolist())
-            found.append(DeadTime(place, whole, rows))
+            found.append(DeadTime(place, whole, rows, rest.get(name)))
     return found
 
 
@@ -80,7 +87,8 @@ def acting_late(
     for d in dead_times:
         first = len(kept)
         given, after = u[d.place], u_next[d.place]
-        before = [ca.if_else(has_begun > 0.5, past[first + j], given) for j in range(d.kept)]
+        until = given if d.rest is None else d.rest
+        before = [ca.if_else(has_begun > 0.5, past[first + j], until) for j in range(d.kept)]
         now[d.place], begin[d.place], end[d.place] = d.acting(before, given, after)
         before = [given, *before[:-1]]
         # No sample after the next is known: its value does not depend on it.

@@ -120,6 +120,12 @@ class _Writer:
             for c in self.fitted.causes
         ]
         texts += list(self.plain.notes)
+        texts += [
+            f"Before it acts late, {n} was {number_text(was)}; delay() takes its first value for "
+            "that: begin the input there."
+            for n, was in self.plain.rest.inputs.items()
+            if n in self.plain.dead_times
+        ]
         if self.clocks:
             texts.append("The time is that of the clock of the fitted record.")
         return [f"  // {line}" for text in texts for line in textwrap.wrap(text, 94)]

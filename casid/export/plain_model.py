@@ -18,6 +18,7 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.simulation.known_rest import KnownRest, rest_before
 from casid.estimation.simulation.simulator import band_limited, rk4_sample, stepping_outputs
 from casid.export.delayed_outputs import SampledDelay, sampled_delays
 from casid.export.late_inputs import DeadTime, sampled_dead_times
@@ -43,6 +44,7 @@ class PlainModel:
     Ts, substeps : sample time [s] and Runge-Kutta steps a sample.
     delays : output -> delay of its sensor [s]; the model's output is what arrives at the sensor.
     dead_times : input -> how much later it acts [s]; the model's input is what acts.
+    rest : what was before the first sample, of a model that begins in a known rest.
     notes : what a user of the equations should know.
     """
 
@@ -54,6 +56,7 @@ class PlainModel:
     substeps: int
     delays: Mapping[str, float]
     dead_times: Mapping[str, float]
+    rest: KnownRest
     notes: tuple[str, ...]
 
     @property
@@ -99,13 +102,13 @@ class PlainModel:
     @property
     def sampled_delays(self) -> list[SampledDelay]:
         """The delays of outputs, in samples."""
-        return sampled_delays(self.outputs, self.delays, self.Ts)
+        return sampled_delays(self.outputs, self.delays, self.Ts, self.rest.outputs)
 
     @property
     def sampled_dead_times(self) -> list[DeadTime]:
         """The dead times of inputs, in samples."""
         holds = {n: self.model.acting_hold(n) for n in self.inputs}
-        return sampled_dead_times(self.inputs, self.dead_times, holds, self.Ts)
+        return sampled_dead_times(self.inputs, self.dead_times, holds, self.Ts, self.rest.inputs)
 
     @property
     def memory_size(self) -> int:
@@ -208,7 +211,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         "step of a sample joins them by straight lines."
         for name in band_limited(model)
     ]
-    steps = _Stages(model, values, initial, fitted.Ts)
+    steps = _Stages(model, values, initial, fitted.Ts, rest_before(fitted.model))
     for stage in fitted.model.stages:
         steps.take(stage)
     for name, entry in list(model.inputs.items()):
@@ -237,6 +240,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         substeps=substeps,
         delays={} if without_delays else steps.delays,
         dead_times={} if without_delays else steps.dead_times,
+        rest=steps.rest,
         notes=(*notes, *steps.notes, *left_out, *blurred),
     )
 
@@ -245,9 +249,15 @@ class _Stages:
     """Takes the stages of a model into its equations, one by one, in place."""
 
     def __init__(
-        self, model: Model, values: dict[str, float], initial: dict[str, float], Ts: float
+        self,
+        model: Model,
+        values: dict[str, float],
+        initial: dict[str, float],
+        Ts: float,
+        rest: KnownRest,
     ) -> None:
         self.model, self.values, self.initial, self.Ts = model, values, initial, Ts
+        self.rest = rest
         self.delays: dict[str, float] = {}
         self.dead_times: dict[str, float] = {}
         self.lags: list[float] = []
@@ -327,22 +337,18 @@ class _Stages:
 
     def _lag_input(self, stage: Stage) -> None:
         model, channel = self.model, stage.channel
-        acting = self._state(f"{channel}_acting", model.inputs[channel].unit, 0.0)
+        acting = self._actuator(f"{channel}_acting", channel)
         command = model.symbol(channel)
         model.substitute_symbol(channel, acting)
         model.derivative(acting, (command - acting) / model.symbol(stage.parameter))
         self.lags.append(self.values[stage.parameter])
-        self.notes.append(
-            f"The actuator's state {acting.name()} begins at 0; begin it at the first value of "
-            f"{channel} for an actuator at rest there."
-        )
 
     def _limit_rate(self, stage: Stage) -> None:
         """A state that goes to the command at the largest rate, and slower where it is near."""
         if not self.values[stage.share]:
             return
         model, channel = self.model, stage.channel
-        position = self._state(f"{channel}_moved", model.inputs[channel].unit, 0.0)
+        position = self._actuator(f"{channel}_moved", channel)
         command, most = model.symbol(channel), model.symbol(stage.parameter)
         model.substitute_symbol(channel, position)
         near = _NEAR * self.Ts
@@ -350,10 +356,20 @@ class _Stages:
         model.derivative(position, ca.fmin(ca.fmax(speed, -most), most))
         self.lags.append(near)
         self.notes.append(
-            f"The actuator's state {position.name()} begins at 0; begin it at the first value of "
-            f"{channel} for an actuator at rest there. Where it is near the command it follows "
-            f"with a lag of {near:.3g} s, a tenth of a sample."
+            f"Where the actuator of {channel} is near the command it follows with a lag of "
+            f"{near:.3g} s, a tenth of a sample."
         )
+
+    def _actuator(self, name: str, channel: str) -> Any:
+        """The state of the actuator of a command, which begins in the rest of the model."""
+        start = self.rest.inputs.get(channel)
+        state = self._state(name, self.model.inputs[channel].unit, start or 0.0)
+        if start is None:
+            self.notes.append(
+                f"The actuator's state {state.name()} begins at 0; begin it at the first value of "
+                f"{channel} for an actuator at rest there."
+            )
+        return state
 
     def _state(self, name: str, unit: str, start: float) -> Any:
         name = self.model.free_name(name)

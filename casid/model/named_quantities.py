@@ -51,7 +51,9 @@ class NamedQuantities:
     ) -> Any:
         """Declare a state; `start` is where its estimated initial value starts, in `unit`.
 
-        `initial` fixes the initial value instead.
+        `initial` fixes the initial value instead. A model of which every state is fixed, and rests
+        there under one value of an input whatever its parameters, had that value before the record:
+        to an input that acts late or lags, and to a sensor that does.
         """
         require_texts(f"{self.name}: state {name!r}", name=[name])
         declared = State(name, unit, start, lower, upper, initial)

@@ -18,6 +18,7 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.model.effects.channel_effects import dead_time, time_delay
+from casid.model.effects.structure_effects import actuator_lag
 from tests.export.test_c_code import compiled, needs_compiler
 from tests.export.test_delayed_outputs import stepped_in_c
 from tests.export.test_fmu import unit
@@ -25,17 +26,20 @@ from tests.support.fitted_models import assert_same, driven_mass, fitted_model
 
 LATE = (0.3, 1.0, 2.3, 17.75)  # samples
 TS = 0.01
+START = {False: (0.1, -0.2), True: (0.0, 0.0)}
 COMMAND = 5 + np.cumsum(np.random.default_rng(3).standard_normal(200))
 
 
 @cache
-def late_mass(samples: float, hold: str = "zoh", late_sensor: float = 0.0) -> FittedModel:
-    """A mass that shows its position and, at once, the force on it."""
+def late_mass(
+    samples: float, hold: str = "zoh", late_sensor: float = 0.0, *, rests: bool = False
+) -> FittedModel:
+    """A mass that shows its position and, at once, the force on it; or is known to rest at 0."""
     m = driven_mass()
     force = m.symbol("force")
-    if hold != "zoh":
-        m = casid.Model("joined")
-        x, v = m.state("x", "m"), m.state("v", "m/s")
+    if hold != "zoh" or rests:
+        m, start = casid.Model("joined"), 0.0 if rests else None
+        x, v = m.state("x", "m", initial=start), m.state("v", "m/s", initial=start)
         force = m.input("force", "N", hold=hold)
         d, k = m.parameter("d", "N s/m", start=1.0), m.parameter("k", "N/m", start=40.0)
         m.derivative(x, v)
@@ -48,7 +52,7 @@ def late_mass(samples: float, hold: str = "zoh", late_sensor: float = 0.0) -> Fi
         effects.append(lambda m: time_delay(m, "position", 0.1))
         values["delay_position"] = TS * late_sensor
     problem = casid.Problem("mass", m, channels={n: n for n in ("force", "position", "load")})
-    return fitted_model(problem, effects, values, x0=(0.1, -0.2), Ts=TS, N=len(COMMAND))
+    return fitted_model(problem, effects, values, x0=START[rests], Ts=TS, N=len(COMMAND))
 
 
 def simulated(fitted: FittedModel) -> Array:
@@ -56,10 +60,10 @@ def simulated(fitted: FittedModel) -> Array:
     return np.column_stack([record["position"], record["load"]])
 
 
-def stepped(fitted: FittedModel) -> Array:
+def stepped(fitted: FittedModel, *, rests: bool = False) -> Array:
     """By the exported CasADi function, sample by sample."""
     function = fitted.to_casadi()
-    x, past, y = [0.1, -0.2], np.zeros(function.numel_in("past")), []
+    x, past, y = list(START[rests]), np.zeros(function.numel_in("past")), []
     for u, u_next in zip(COMMAND, [*COMMAND[1:], COMMAND[-1]], strict=True):
         step = function(x=x, u=u, u_next=u_next, past=past)
         x, past = step["x_next"], step["past_next"]
@@ -72,6 +76,38 @@ def stepped(fitted: FittedModel) -> Array:
 def test_the_casadi_function_remembers_commands(samples: float, hold: str) -> None:
     fitted = late_mass(samples, hold)
     assert_same(stepped(fitted)[:-1], simulated(fitted)[:-1])
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_before_its_first_sample_a_resting_mass_had_no_force(hold: str) -> None:
+    """Nor was its position another than at rest; the force is seen at once, late."""
+    fitted = late_mass(2.3, hold, 1.6, rests=True)
+    y = stepped(fitted, rests=True)
+    assert_same(y[:-1], simulated(fitted)[:-1])
+    assert not y[:2].any()
+    assert np.abs(y[4, 1]) > 4.0  # of about 5 N
+
+
+def test_a_lagging_actuator_of_a_resting_mass_begins_without_force() -> None:
+    m = casid.Model("mass")
+    x, v = m.state("x", "m", initial=0.0), m.state("v", "m/s", initial=0.0)
+    force, k = m.input("force", "N", hold="zoh"), m.parameter("k", "N/m", start=40.0)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=m.constant("m", 2.0, "kg"), terms=[-k * x, force])
+    m.output("position", x, "m")
+    problem = casid.Problem("mass", m, channels={n: n for n in ("force", "position")})
+    lag = [lambda m: actuator_lag(m, "force", 0.5)]
+    fitted = fitted_model(
+        problem, lag, {"k": 55.0, "tau_force": 0.05}, x0=(0.0, 0.0), Ts=TS, N=len(COMMAND)
+    )
+    function, state, y = fitted.to_casadi(), np.zeros(3), []
+    for u, u_next in zip(COMMAND, [*COMMAND[1:], COMMAND[-1]], strict=True):
+        step = function(x=state, u=u, u_next=u_next)
+        state = step["x_next"]
+        y.append(float(step["y"]))
+    exact = fitted.simulate({"force": COMMAND})["position"]
+    # The line in each sample that stands for the actuator's motion is exact to third order.
+    assert np.array(y) == pytest.approx(exact, abs=1e-5 * np.ptp(exact))
 
 
 def test_a_late_command_and_a_late_sensor_share_the_memory() -> None:
@@ -133,6 +169,9 @@ def test_modelica_and_the_problem_file_say_the_delay(tmp_path: Path) -> None:
     fitted = late_mass(2.3)
     text = fitted.to_modelica(tmp_path / "Mass.mo").read_text()
     assert "delay(force, 0.023)" in text
+    resting = late_mass(2.3, rests=True).to_modelica(tmp_path / "Resting.mo").read_text()
+    assert "Before it acts late, force was 0" in resting
+    assert "Before it acts late" not in text
     lines = fitted.to_problem_file(tmp_path / "mass.py").read_text()
     assert 'm.extend(casid.dead_time(m, "force", longest=0.5))' in lines.replace("model", "m")
     problem = casid.load_problem(tmp_path / "mass.py")

@@ -21,6 +21,7 @@ from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.simulation.first_order_lags import lag_columns
 from casid.estimation.simulation.input_noise import input_noise_sd
+from casid.estimation.simulation.known_rest import rest_before
 from casid.estimation.simulation.sensor_dynamics import delay_columns
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import Simulated, SimulationError
@@ -184,15 +185,17 @@ class Linearised:
         """Apply what the model's sensors do to a response (N, ny, m), in place."""
         model, d = self.criterion.model, self.criterion.data[experiment]
         p, _ = self.criterion.parameter_vector(self.x, experiment)
-        names = model.explicit().parameters
+        names, rest = model.explicit().parameters, rest_before(model)
         for stage in model.stages:
             if stage.is_of_input:
                 continue
             i, value = self.criterion.outputs.index(stage.channel), p[names.index(stage.parameter)]
+            rests = stage.channel in rest.outputs
             if stage.kind == "delay":
-                response[:, i] = delay_columns(response[:, i], float(value) / d.Ts)
+                late = delay_columns(response[:, i], float(value) / d.Ts, at_rest=rests)
+                response[:, i] = late
             elif stage.kind == "lag":
-                response[:, i] = lag_columns(response[:, i], float(value) / d.Ts)[0]
+                response[:, i] = lag_columns(response[:, i], float(value) / d.Ts, at_rest=rests)[0]
             else:
                 response[np.abs(y[:, i]) >= FUNCTIONS.at_limit * value, i] = 0.0
         return response

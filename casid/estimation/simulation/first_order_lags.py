@@ -23,7 +23,7 @@ COINCIDENT = 0.1
 """Sample times below which a held input's step and the sample that it falls on are simultaneous."""
 
 
-def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
+def lag_columns(y: Array, samples: float, *, at_rest: bool = False) -> tuple[Array, Array]:
     """Columns (N, ...) of a smooth signal behind a lag, and their derivative with the lag.
 
     Between samples the signal is a cubic through two neighbours with centred slopes (Keys 1981),
@@ -33,10 +33,12 @@ def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
     Parameters
     ----------
     samples : time constant over the sample time, not negative.
+    at_rest : in the past the signal was what it is at the first sample.
     """
     r = samples
     decay, slope = _decay(r)
-    long = np.concatenate([2 * y[:1] - y[1:2], y, 2 * y[-1:] - y[-2:-1]])
+    first = 0.0 * y[0] if at_rest else y[1] - y[0]
+    long = np.concatenate([y[:1] - first, y, 2 * y[-1:] - y[-2:-1]])
     before, left, right, after = long[:-3], long[1:-2], long[2:-1], long[3:]
     cubic = (
         left,
@@ -47,7 +49,6 @@ def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
     moments, changes = _moments(r)
     driven = sum(m * c for m, c in zip(moments, cubic, strict=True))
     change = sum(m * c for m, c in zip(changes, cubic, strict=True))
-    first = y[1] - y[0]
     x = _recursion(decay, y[0] - r * first, driven)
     return x, _recursion(decay, -first, change + slope * x[:-1])
 
@@ -65,10 +66,14 @@ def lag_held(u: Array, samples: float) -> tuple[Array, Array]:
     return x + new * (u - x), (1 - new) * dx + d_new * (u - x)
 
 
-def delay_held(u: Array, samples: float) -> tuple[Array, Array]:
-    """A lag behind a delay of any number of samples; before the record stands the first value."""
+def delay_held(u: Array, samples: float, before: float | None = None) -> tuple[Array, Array]:
+    """A lag behind a delay of any number of samples, and its derivative with the delay.
+
+    Before the record stands `before`, by default the first value.
+    """
     whole = int(np.floor(samples))
-    late = np.concatenate([np.repeat(u[:1], whole + 1, axis=0), u])[: len(u) + 1]
+    first = u[:1] if before is None else np.full_like(u[:1], before)
+    late = np.concatenate([np.repeat(first, whole + 1, axis=0), u])[: len(u) + 1]
     new, d_new = at_the_step(samples - whole)
     rise = late[1:] - late[:-1]
     return late[:-1] + new * rise, d_new * rise
@@ -82,7 +87,9 @@ def at_the_step(samples: float) -> tuple[float, float]:
     return left**2, -2 * left / COINCIDENT
 
 
-def lag_lines(lines: Array, samples: float, *, steps: bool) -> tuple[Array, Array]:
+def lag_lines(
+    lines: Array, samples: float, *, steps: bool, before: float | None = None
+) -> tuple[Array, Array]:
     """An input (N, 3) of a line in each sample behind a lag, the same, and the derivative with it.
 
     The columns are the value at the sample, where the line begins, and where it ends. A
@@ -90,16 +97,16 @@ def lag_lines(lines: Array, samples: float, *, steps: bool) -> tuple[Array, Arra
     for what follows begins beside it. Without a lag it is the new value that acts there: for lags
     shorter than `COINCIDENT` samples the value of an input that `steps` lies between the two. Mean
     and first moment over the sample are those of the exact response to the lines, so that nothing
-    moves in time; without a lag they are the lines. Before the record the input was what it is at
-    its first sample.
+    moves in time; without a lag they are the lines. Before the record the input was what `before`
+    says, by default what it is at its first sample.
     """
     decay, slope = _decay(samples)
     (p, h, f, g), (dp, dh, df, dg) = _line_weights(samples)
     given, u, rise = lines[:, 0], lines[:, 1], lines[:, 2] - lines[:, 1]
     # From (1) with w = u + rise a, 0 <= a <= 1: x(a) = w(a) - r rise + (x - u + r rise) exp(-a/r).
     driven = u * (1 - decay) + rise * (1 - p)
-    x = _recursion(decay, given[0], driven[:-1])
-    dx = _recursion(decay, 0.0 * given[0], (slope * (x - u) - dp * rise)[:-1])
+    x = _recursion(decay, given[0] if before is None else before, driven[:-1])
+    dx = _recursion(decay, 0.0, (slope * (x - u) - dp * rise)[:-1])
     mean = u + 0.5 * rise + p * (x - u) - h * rise
     d_mean = dp * (x - u) + p * dx - dh * rise
     tilt = (1 - f) * rise - g * (x - u)

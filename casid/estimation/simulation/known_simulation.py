@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from casid.arrays import Array
+from casid.estimation.simulation.known_rest import KnownRest, rest_before
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.sensor_dynamics import Before, prepared_inputs, through_sensor
 from casid.estimation.simulation.signals import Signals
@@ -42,8 +43,9 @@ class KnownSimulation:
         """
         simulator, model = self.simulator, self.model
         of_inputs = [s for s in model.stages if s.is_of_input]
+        rest = self._rest_before(nodes[0])
         if of_inputs:
-            u = prepared_inputs(model, u, values, simulator.Ts)
+            u = prepared_inputs(model, u, values, simulator.Ts, of_inputs, rest.inputs)
         u = simulator.with_courses(u)
         # What a stage does is in the column; its parameter multiplies the tangent alone.
         held = {**values, **{name: 0.0 for s in of_inputs for name in s.parameters}}
@@ -62,8 +64,18 @@ class KnownSimulation:
                 if not stage.is_of_input:
                     i, value = outputs.index(stage.channel), values[stage.parameter]
                     stepped = None if stage.kind == "clip" else steps.pop(i, None)
-                    through_sensor(stage.kind, y[:, i], None, value, simulator.Ts, -1, stepped)
+                    rests = stage.channel in rest.outputs
+                    through_sensor(
+                        stage.kind, y[:, i], None, value, simulator.Ts, -1, stepped, at_rest=rests
+                    )
         return y, x
+
+    def _rest_before(self, x0: Array) -> KnownRest:
+        """The rest that a simulation from the state x0 (nx,) begins in, if it is the model's."""
+        states = self.model.states.values()
+        if any(s.initial not in (None, x) for s, x in zip(states, x0.tolist(), strict=True)):
+            return KnownRest()
+        return rest_before(self.model)
 
 
 def outputs_by(fit: Fit, d: Signals, place: int) -> Callable[[Array, Array], Array]:

@@ -25,7 +25,7 @@ class Limited:
 
     `first` and `second` are the slopes a sample, `at` where the sample begins, `slow_at` its
     derivative with the largest change in a sample, and `after` the share of the sample at which it
-    turns, 1 where it does not.
+    turns, 1 where it does not. What it was before the first sample is known where it `is_placed`.
     """
 
     at: Array
@@ -35,6 +35,7 @@ class Limited:
     follows: Array  # bool: the second line is the command's
     tracks: Array  # bool: it is on the command all the time
     sign: Array  # of the motion towards the command
+    is_placed: bool
 
     @property
     def lines(self) -> Array:
@@ -46,19 +47,20 @@ class Limited:
         return np.stack([self.at, mean - 0.5 * tilt, mean + 0.5 * tilt], axis=1)
 
 
-def rate_limited(lines: Array, most: float) -> Limited:
-    """An actuator behind a command (N, 3) of a line in each sample; it begins where that begins.
+def rate_limited(lines: Array, most: float, rest: float | None = None) -> Limited:
+    """An actuator behind a command (N, 3) of a line in each sample.
 
     Parameters
     ----------
     lines : value at the sample, and where the line in it begins and ends.
     most : by which the actuator moves in a sample at most, the rate times the sample time.
+    rest : where the actuator begins, by default where the command does.
     """
     begins, rises = lines[:, 1], lines[:, 2] - lines[:, 1]
     at, first, second = begins.copy(), rises.copy(), rises.copy()
     after, sign = np.ones(len(lines)), np.zeros(len(lines))
     follows, tracks = np.zeros(len(lines), dtype=bool), np.ones(len(lines), dtype=bool)
-    before = np.concatenate([begins[:1], lines[:-1, 2]])
+    before = np.concatenate([begins[:1] if rest is None else [rest], lines[:-1, 2]])
     breaks = np.flatnonzero((begins != before) | (np.abs(rises) > most)).tolist()
     begin_of, end_of = begins.tolist(), lines[:, 2].tolist()
     k = 0
@@ -85,7 +87,7 @@ def rate_limited(lines: Array, most: float) -> Limited:
                     second[k] = -up * most
                     p = begin + rise * turn - up * most * (1.0 - turn)
             k += 1
-    return Limited(at, first, after, second, follows, tracks, sign)
+    return Limited(at, first, after, second, follows, tracks, sign, rest is not None)
 
 
 def change_with_rate(lines: Array, limited: Limited) -> Array:
@@ -120,7 +122,7 @@ def _moved(lines: Array, limited: Limited, given: Array, *, per_rate: float) -> 
     q, last = 0.0, -2
     for k in np.flatnonzero(~limited.tracks).tolist():
         if k != last + 1:
-            q = begin[k - 1] + slope[k - 1] if k else begin[0]
+            q = begin[k - 1] + slope[k - 1] if k else (0.0 if limited.is_placed else begin[0])
         at[k], last = q, k
         there = begin[k] + slope[k] * turn[k]
         if limited.follows[k]:

@@ -20,7 +20,9 @@ def lines_of(u: Array, hold: Hold) -> Array:
     return np.stack([u, u, after], axis=1)
 
 
-def delayed_lines(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
+def delayed_lines(
+    u: Array, samples: float, hold: Hold, before: float | None = None
+) -> tuple[Array, Array]:
     """Lines (N, 3) of an input column delayed by any number of samples, and their derivative.
 
     With s the part of a sample, v the value one delay before a sample, c and d what it rose by
@@ -29,21 +31,23 @@ def delayed_lines(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
         held:    v - s c,                     6 s q c                                         (1)
         joined:  v - s^2 c / 2 + q^2 d / 2,   (3 s^2 - 2 s^3) c + (3 q^2 - 2 q^3) d           (2)
 
-    Before the record the input was what it is at its first sample; after the last one it is held.
+    Before the record the input was what `before` says, by default what it is at its first sample;
+    after the last one it is held.
     """
     whole = int(np.floor(samples))
     s = samples - whole
     q = 1.0 - s
-    places = np.arange(len(u)) - whole
-    last = len(u) - 1
-    v = u[np.clip(places, 0, last)]
-    c = v - u[np.clip(places - 1, 0, last)]
+    long = np.concatenate([u[:1] if before is None else [before], u])
+    places = np.arange(1, len(long)) - whole
+    last = len(u)
+    v = long[np.clip(places, 0, last)]
+    c = v - long[np.clip(places - 1, 0, last)]
     if hold == "zoh":
-        now, d_now = delay_held(u, samples)
+        now, d_now = delay_held(u, samples, before)
         mean, d_mean = v - s * c, -c
         tilt, d_tilt = 6 * s * q * c, 6 * (q - s) * c
     else:
-        d = u[np.clip(places + 1, 0, last)] - v
+        d = long[np.clip(places + 1, 0, last)] - v
         now, d_now = v - s * c, -c
         mean, d_mean = v - 0.5 * s**2 * c + 0.5 * q**2 * d, -s * c - q * d
         tilt = (3 - 2 * s) * s**2 * c + (3 - 2 * q) * q**2 * d

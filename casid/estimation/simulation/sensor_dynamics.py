@@ -20,6 +20,7 @@ from casid.estimation.simulation.first_order_lags import (
     lag_held,
     lag_lines,
 )
+from casid.estimation.simulation.known_rest import rest_before
 from casid.estimation.simulation.rate_limits import change_with_rate, rate_limited, through_limit
 from casid.estimation.simulation.sample_lines import delayed_lines, lines_of
 from casid.model.declarations import Hold, Stage
@@ -73,14 +74,18 @@ def due_to_earlier_inputs(
 ) -> BoolArray:
     """(N, ny) the first samples of what is late or lags, due to inputs before these u (N, nu).
 
+    None are where a known rest says what was before.
+
     Parameters
     ----------
     without : kinds of stages that do not count.
     """
     out = np.zeros((len(u), len(model.outputs)), dtype=bool)
-    for stage in model.stages:
-        counts = stage.kind in MEMORY and stage.kind not in without
-        if counts and not begins_still(model, stage, u):
+    stages = [s for s in model.stages if s.kind in MEMORY and s.kind not in without]
+    rest = rest_before(model)
+    for stage in stages:
+        is_known = stage.channel in (rest.inputs if stage.is_of_input else rest.outputs)
+        if not is_known and not begins_still(model, stage, u):
             first = due_to_past(stage.kind, model.parameters[stage.parameter].upper / Ts, len(u))
             columns = slice(None) if stage.is_of_input else [*model.outputs].index(stage.channel)
             out[:first, columns] = True
@@ -111,6 +116,8 @@ def through_sensor(
     Ts: float,
     place: int,
     before: Before | None = None,
+    *,
+    at_rest: bool = False,
 ) -> None:
     """Apply one output stage in place.
 
@@ -124,6 +131,7 @@ def through_sensor(
     value : the stage's parameter [s], or the limit in units of the output.
     place : column of `jac` of the parameter, -1 where it is known.
     before : of an output that steps, what it was at the samples before.
+    at_rest : it was before the first sample what it is there.
     """
     change: Array
     steps = d_steps = None
@@ -140,17 +148,17 @@ def through_sensor(
         if jac is not None:
             jac[above | below] = 0.0
     elif kind == "delay":
-        change = -delay_columns(y, value / Ts, derivative=True) / Ts
-        y[:] = delay_columns(y, value / Ts)
+        change = -delay_columns(y, value / Ts, derivative=True, at_rest=at_rest) / Ts
+        y[:] = delay_columns(y, value / Ts, at_rest=at_rest)
     else:
-        y[:], change = lag_columns(y, value / Ts)
+        y[:], change = lag_columns(y, value / Ts, at_rest=at_rest)
         change = change / Ts
     if jac is not None and kind != "clip" and value != 0.0:
         # Some columns at a time: what is interpolated takes several times their room.
         for first in range(0, jac.shape[1], GROUP):
             some = jac[:, first : first + GROUP]
             moved = delay_columns if kind == "delay" else _lagged
-            some[:] = moved(some, value / Ts)
+            some[:] = moved(some, value / Ts, at_rest=at_rest)
     if steps is not None:
         held = delay_held if kind == "delay" else lag_held
         late, d_late = held(steps, value / Ts)
@@ -169,8 +177,8 @@ def _steps(y: Array, before: Array) -> Array:
     return steps
 
 
-def _lagged(columns: Array, samples: float) -> Array:
-    return lag_columns(columns, samples)[0]
+def _lagged(columns: Array, samples: float, *, at_rest: bool) -> Array:
+    return lag_columns(columns, samples, at_rest=at_rest)[0]
 
 
 _ORDER = ("late_input", "rate_input", "lag_input")
@@ -183,6 +191,7 @@ def prepared_inputs(
     values: Mapping[str, float],
     Ts: float,
     stages: Sequence[Stage] | None = None,
+    rest: Mapping[str, float] | None = None,
 ) -> Array:
     """A copy of the inputs (N, nu) with every input stage applied and all carriers filled.
 
@@ -195,8 +204,9 @@ def prepared_inputs(
     ----------
     values : of the stages' parameters, SI units.
     stages : of inputs, where not all of the model's are applied.
+    rest : input -> what it was before the record, where that is known.
     """
-    out = u.copy()
+    out, rest = u.copy(), rest or {}
     place = {name: i for i, name in enumerate(model.inputs)}
     if stages is None:
         stages = [s for s in model.stages if s.is_of_input]
@@ -226,7 +236,8 @@ def prepared_inputs(
             for name, column in columns.items():
                 out[:, place[name]] = column
             continue
-        for name, lines in _lines(acting, columns, values, Ts, model.acting_hold(channel)).items():
+        hold, before = model.acting_hold(channel), rest.get(channel)
+        for name, lines in _lines(acting, columns, values, Ts, hold, before).items():
             for own, at in zip((name, *Stage.line_of(name)), lines.T, strict=True):
                 out[:, place[own]] = at
     return out
@@ -245,39 +256,49 @@ def _lines(
     values: Mapping[str, float],
     Ts: float,
     hold: Hold,
+    before: float | None,
 ) -> dict[str, Array]:
     """The line in each sample (N, 3) that becomes of a channel and of what carries its tangents.
 
-    `columns` has the channel first. The `stages` are in their `_ORDER`.
+    `columns` has the channel first. The `stages` are in their `_ORDER`. What was before the record
+    depends on no parameter: tangents were zero there.
     """
     channel = next(iter(columns))
+    of_tangents = None if before is None else 0.0
     lines: dict[str, Array] = {}
     for stage in stages:
         r = values[stage.parameter] / Ts
         if stage.kind == "late_input":
-            change = delayed_lines(columns[channel], r, hold)[1]
-            lines = {n: delayed_lines(c, r, hold)[0] for n, c in columns.items()}
+            late, change = delayed_lines(columns[channel], r, hold, before)
+            lines = {n: delayed_lines(c, r, hold, of_tangents)[0] for n, c in columns.items()}
+            lines[channel] = late
             lines[stage.carrier] = change / Ts
             continue
         lines = lines or {n: lines_of(c, hold) for n, c in columns.items()}
         if stage.kind == "rate_input":
-            _limit_rate(lines, stage, values, Ts)
+            _limit_rate(lines, stage, values, Ts, before)
             continue
-        change = lag_lines(lines[channel], r, steps=hold == "zoh")[1]
-        lines = {n: lag_lines(c, r, steps=hold == "zoh")[0] for n, c in lines.items()}
+        steps = hold == "zoh"
+        lagging, change = lag_lines(lines[channel], r, steps=steps, before=before)
+        lines = {n: lag_lines(c, r, steps=steps, before=of_tangents)[0] for n, c in lines.items()}
+        lines[channel] = lagging
         lines[stage.carrier] = change / Ts
     return lines
 
 
 def _limit_rate(
-    lines: dict[str, Array], stage: Stage, values: Mapping[str, float], Ts: float
+    lines: dict[str, Array],
+    stage: Stage,
+    values: Mapping[str, float],
+    Ts: float,
+    before: float | None,
 ) -> None:
     """Send the lines of a channel through its largest rate, in place.
 
     Without a share of it the command acts as it is, and what the rate would change is its tangent.
     """
     share, command = values[stage.share], lines[stage.channel]
-    limited = rate_limited(command, values[stage.parameter] * Ts)
+    limited = rate_limited(command, values[stage.parameter] * Ts, before)
     change = limited.lines - command
     if share:
         tangents = {n: c for n, c in lines.items() if n != stage.channel}
@@ -351,16 +372,19 @@ def delay_weights(samples: float, *, derivative: bool = False) -> tuple[int, Arr
     return whole, np.array(w)
 
 
-def delay_columns(y: Array, samples: float, *, derivative: bool = False) -> Array:
+def delay_columns(
+    y: Array, samples: float, *, derivative: bool = False, at_rest: bool = False
+) -> Array:
     """Columns (N, ...) delayed by a fractional number of samples, or their slope per sample there.
 
     Cubic convolution: exact for quadratics, once differentiable in the delay, and centred, so that
-    its slope at zero delay brings no half-sample error. The ends are extended by straight lines.
+    its slope at zero delay brings no half-sample error. The ends are extended by straight lines,
+    the first one by its value where it was `at_rest` there.
     """
     whole, w = delay_weights(samples, derivative=derivative)
     pad = abs(whole) + 3
     ramp = np.arange(1, pad + 1, dtype=float).reshape(-1, *([1] * (y.ndim - 1)))
-    left = y[:1] - ramp[::-1] * (y[1:2] - y[:1])
+    left = y[:1] - (0.0 if at_rest else 1.0) * ramp[::-1] * (y[1:2] - y[:1])
     right = y[-1:] + ramp * (y[-1:] - y[-2:-1])
     long = np.concatenate([left, y, right])
     n = len(y)

@@ -22,6 +22,7 @@ from casid.arrays import Array, rows_between
 from casid.data.experiment import Experiment
 from casid.errors import DataError
 from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.simulation.known_rest import rest_before
 from casid.estimation.simulation.measured_states import (
     measured_output,
     measured_states,
@@ -87,7 +88,7 @@ class SimulationError:
         start: Mapping[str, float] | None = None,
     ) -> None:
         self.model, self.segments, self.substeps = model, segments, substeps
-        self.joined = segments > 1
+        self.joined, self._rest = segments > 1, rest_before(model)
         self.outputs = tuple(model.outputs)
         self._simulators: dict[float, Simulator] = {}
         self._built: dict[object, Any] = {}  # of the model, shared by `of_records`
@@ -358,7 +359,7 @@ class SimulationError:
                 self._courses[experiment] = d.u, wide
             return wide
         values = {n: self.value_of(n, x, experiment) for s in stages for n in s.parameters}
-        u = prepared_inputs(self.model, d.u, values, d.Ts) if stages else d.u
+        u = prepared_inputs(self.model, d.u, values, d.Ts, stages, self._rest.inputs)
         return self._simulators[d.Ts].with_courses(u)
 
     def value_of(self, name: str, x: Array, experiment: int) -> float:
@@ -385,20 +386,20 @@ class SimulationError:
         A sensor that is late knows nothing of the window before: that ends in another state.
         """
         names = self._simulators[d.Ts].equations.parameters
-        for stage in self.model.stages:
-            if stage.is_of_input:
-                continue
+        for stage in (s for s in self.model.stages if not s.is_of_input):
             c = self.outputs.index(stage.channel)
             value = p[names.index(stage.parameter)]
             place = index[self.free.index(stage.parameter)] if stage.parameter in self.free else -1
             is_clip = stage.kind == "clip"
             before = steps.get(c) if is_clip else steps.pop(c, None)
+            rests = stage.channel in self._rest.outputs
             for rows in parts:
                 of_column = None if jac is None else jac[rows, c, :]
                 own = None if before is None else before.part(rows)
                 if is_clip and own is not None:
                     through_sensor("clip", own.y, own.jac, value, d.Ts, int(place))
-                through_sensor(stage.kind, y[rows, c], of_column, value, d.Ts, int(place), own)
+                args = y[rows, c], of_column, value, d.Ts, int(place), own
+                through_sensor(stage.kind, *args, at_rest=rests and rows.start == 0)
 
     def simulated(self, x: Array, experiment: int, *, signals: Signals | None = None) -> Simulated:
         """Residuals and sensitivities of one experiment, unweighted."""

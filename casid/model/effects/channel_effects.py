@@ -92,7 +92,8 @@ def dead_time(model: Model, channel: str | Sequence[str], longest: float) -> Eff
     A command has a dead time (a valve, a driver, a network), a measured input a transport delay (a
     flow in a pipe, whose sensor is upstream). The input, held, joined by straight lines or
     band-limited as declared, is delayed by any part of a sample. What it did before the record no
-    sample shows: as many samples as `longest` has are left out of every output.
+    sample shows: as many samples as `longest` has are left out of every output, unless the model
+    begins in a known rest (`Model.state`), in which the input was until then.
 
     Parameters
     ----------

@@ -39,8 +39,9 @@ def actuator_lag(model: Model, channel: str | Sequence[str], longest: float) -> 
     What the actuator did is computed exactly for the command held or joined by straight lines, and
     handed to the simulation as a line in each sample with the same mean and first moment: neither
     the lag nor its derivative moves anything by half a sample. Before the record the command was
-    what it is at its first sample, if it stands still there; else the first samples, which are due
-    to what it did before, are left out of the fit.
+    that of the rest in which the model begins, if one is known (`Model.state`), or what it is at
+    its first sample, if it stands still there; else the first samples, which are due to what it
+    did before, are left out of the fit.
 
     Parameters
     ----------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -12,7 +14,7 @@ from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.sample_lines import delayed_lines, lines_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.channel_effects import dead_time, hold, time_delay
+from casid.model.effects.channel_effects import dead_time, hold, sensor_lag, time_delay
 from casid.model.effects.effect import Sizes
 from casid.model.effects.structure_effects import actuator_lag
 from problems import pendulum
@@ -56,14 +58,17 @@ def outputs(model: casid.Model, force=STEPS, substeps: int = 1, **values: float)
 
 
 def acting_late(force: np.ndarray, delay: float, kind: str) -> np.ndarray:
-    """Position and speed, exact: the matrix exponential from corner to corner of the late input."""
+    """Position and speed, exact: the matrix exponential from corner to corner of the late input.
+
+    At rest before the record, without force.
+    """
     A = np.zeros((4, 4))  # x, v, the force and its slope
     A[:2, :3] = [[0.0, 1.0, 0.0], [-K / M, -D / M, 1 / M]]
     A[2, 3] = 1.0
     whole = int(np.floor(delay / TS))
     s = delay / TS - whole
     first, second = expm(A * s * TS), expm(A * (1 - s) * TS)
-    padded = np.concatenate([np.full(whole + 1, force[0]), force])
+    padded = np.concatenate([np.zeros(whole + 1), force])
     state, out = np.zeros(2), np.empty((len(force), 2))
     for k in range(len(force)):
         out[k] = state
@@ -139,7 +144,7 @@ def test_an_output_that_shows_the_command_at_once_shows_it_late():
     record = casid.Record({"U": STEPS, "i": np.zeros(N)}, {"U": "V", "i": "A"}, Ts=TS)
     criterion = SimulationError(model, [casid.Experiment(record, {}, "r")])
     found = criterion.simulate(at(criterion, dead_time_U=2.5 * TS), 0)[0][:, 0]
-    before = np.concatenate([np.full(3, STEPS[0]), STEPS])[:N]
+    before = np.concatenate([np.zeros(3), STEPS])[:N]
     assert found == pytest.approx(before / 1.2, abs=1e-12)
 
 
@@ -153,7 +158,9 @@ def test_a_dead_time_and_a_lag_of_one_command_act_one_after_the_other(kind):
     values = {"tau_force": 0.07, "dead_time_force": 4 * TS}
     found = outputs(one, **values)
     assert outputs(other, **values) == pytest.approx(found, abs=1e-13)
-    late = np.concatenate([np.full(4, STEPS[0]), STEPS])[:N]
+    # What is band-limited moves before its first sample: no rest is known of it.
+    before = STEPS[0] if kind == "bandlimited" else 0.0
+    late = np.concatenate([np.full(4, before), STEPS])[:N]
     shifted = outputs(lagging, late, tau_force=0.07)
     # The last sample of a shifted record is followed by one that is not the record's.
     assert found[:-4] == pytest.approx(shifted[:-4], abs=2e-4 * np.abs(shifted).max())
@@ -192,10 +199,34 @@ def test_a_refit_finds_the_dead_time_within_its_error():
 
 def test_what_a_late_input_did_before_the_record_is_counted_in_no_output():
     """Ten samples of delay at most, and one: every output's first eleven samples are left out."""
-    model = dead_time(oscillator(), "force", 10 * TS).extend(oscillator())
-    used = criterion_of(model).data[0].used
+    m = oscillator()
+    moving = m.copy()
+    moving.states["v"] = replace(m.states["v"], initial=None)
+    used = criterion_of(dead_time(moving, "force", 10 * TS).extend(moving)).data[0].used
     assert not used[:11].any()
     assert used[11:].all()
+    # What rested without force had none before, and all samples count.
+    assert criterion_of(dead_time(m, "force", 10 * TS).extend(m)).data[0].used.all()
+
+
+@pytest.mark.parametrize("effect", [dead_time, actuator_lag])
+def test_a_late_sensor_is_a_late_input_of_what_rested(effect):
+    """Both delay, or lag, what a linear system that was at rest answers with its one input.
+
+    To a thousandth: a sensor's column is smooth between its samples, an input is held.
+    """
+    m = oscillator()
+    sensors = m
+    of_sensor = time_delay if effect is dead_time else sensor_lag
+    for output in m.outputs:
+        sensors = of_sensor(sensors, output, 1.0).extend(sensors)
+    model = effect(m, "force", 1.0).extend(m)
+    name = "dead_time_force" if effect is dead_time else "tau_force"
+    prefix = "delay" if effect is dead_time else "lag"
+    found = outputs(model, **{name: 2.4 * TS})
+    shown = outputs(sensors, **{f"{prefix}_{y}": 2.4 * TS for y in m.outputs})
+    assert found[:, 0] == pytest.approx(shown[:, 0], abs=1e-3 * np.ptp(found[:, 0]))
+    assert not found[0].any()
 
 
 def test_the_mean_and_the_first_moment_of_late_lines_are_exact():

@@ -61,13 +61,13 @@ def positions(model, force=COMMAND, **values: float) -> np.ndarray:
 
 
 def held_through_a_lag(tau: float, command=COMMAND) -> np.ndarray:
-    """The plant behind the actuator, its command held, by scipy from sample to sample."""
+    """The plant behind the actuator, its command held, by scipy sample by sample from rest."""
 
     def rate(_t, z, u):
         x, v, a = z
         return [v, (-K * x - D * v + a) / M, (u - a) / tau]
 
-    z, out = np.array([0.0, 0.0, command[0]]), np.empty(len(command))
+    z, out = np.zeros(3), np.empty(len(command))
     for i, u in enumerate(command):
         out[i] = z[0]
         z = solve_ivp(rate, (0, TS), z, args=(u,), rtol=1e-9, atol=1e-12).y[:, -1]
@@ -86,7 +86,7 @@ def test_an_output_that_shows_the_command_at_once_shows_it_behind_the_lag(tau):
     model = actuator_lag(m, "U", 2.0).extend(m)
     record = casid.Record({"U": COMMAND, "i": np.zeros(N)}, {"U": "V", "i": "A"}, Ts=TS)
     criterion = SimulationError(model, [casid.Experiment(record, {}, "r")])
-    current, expected, E = COMMAND[0], np.empty(N), np.exp(-TS / tau)
+    current, expected, E = 0.0, np.empty(N), np.exp(-TS / tau)
     for k in range(N):
         expected[k] = current / 1.2
         current = E * current + (1 - E) * COMMAND[k]
