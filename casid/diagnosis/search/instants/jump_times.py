@@ -63,9 +63,32 @@ def _between(
     refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
 ) -> Candidate:
     """Scan both instants of what is over again, ever finer, about the last refit."""
+    found = _over_elsewhere(refitting, at, found, known)
     for reach in _reaches(at):
         first, last = _best_pair(at, found.fit, found.names[0], found.effect, reach)
         found = _better_at(refitting, at, found, first, known, last)
+    return found
+
+
+def _over_elsewhere(
+    refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
+) -> Candidate:
+    """What is over again, its end, then its beginning, anywhere in the records.
+
+    A change that the model makes up for as it lasts shows as it begins and as it ends. Scored
+    beside parameters that make up for it, it is over with the first of the two; about a refit,
+    whose parameters are nearer, all of it shows.
+    """
+    start, stop = window_of(at)
+    anywhere = np.linspace(start, stop, JUMPS.ends + 2)[1:-1].tolist()
+    for which in ("end", "time"):
+        sides = [
+            anywhere if name == which else [found.effect.constants[name]]
+            for name in ("time", "end")
+        ]
+        left, pair = _least_left(at, found.fit, found.names[0], found.effect, sides)
+        if left < 2 * found.fit.solution.value - JUMPS.worth:
+            found = _better_at(refitting, at, found, pair[0], known, pair[1])
     return found
 
 
@@ -107,15 +130,27 @@ def _best_pair(
 ) -> tuple[float, float]:
     """The instants within reach of an effect's own [s] that leave least, of what is over again."""
     start, stop = window_of(at)
-    Ts = min(d.Ts for d in at.criterion.data)
     grid = reach * np.linspace(-1, 1, JUMPS.ends)
     ends = (effect.constants[name] for name in ("time", "end"))
     times = [[float(t) for t in end + grid if start < t < stop] for end in ends]
+    return _least_left(at, fit, own, effect, times)[1]
+
+
+def _least_left(
+    at: Weighted, fit: Fit, own: str | None, effect: Effect, times: Sequence[Sequence[float]]
+) -> tuple[float, tuple[float, float]]:
+    """The sum of squares that is left between the best pair of instants [s], and that pair.
+
+    Parameters
+    ----------
+    times : at which the change may begin, and end.
+    """
+    Ts = min(d.Ts for d in at.criterion.data)
     steps = [[at_instant(effect, fit.criterion.model, t) for t in side] for side in times]
     left = scan_pairs(fit, own, *steps)
     left[np.subtract.outer(times[0], times[1]) > -Ts] = np.inf
-    i, j = np.unravel_index(int(np.argmin(left)), left.shape)
-    return times[0][int(i)], times[1][int(j)]
+    i, j = (int(k) for k in np.unravel_index(int(np.argmin(left)), left.shape))
+    return float(left[i, j]), (times[0][i], times[1][j])
 
 
 def _reaches(at: Weighted) -> Iterator[float]:

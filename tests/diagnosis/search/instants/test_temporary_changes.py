@@ -12,7 +12,9 @@ import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.score_tests import Family, Score, ScoreTable
 from casid.diagnosis.search.instants import temporary_changes as temporary
+from casid.diagnosis.search.instants.jump_times import placed
 from casid.diagnosis.search.instants.temporary_changes import placed_changes, temporary_changes
+from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.estimation.holdout import split_records
@@ -182,6 +184,19 @@ def test_gains_of_channels_crowd_out_no_force():
     kinds = [s.effect.kind for s in found]
     assert kinds.count("sensor_scale") == SHORTLIST.gains
     assert "offset" in kinds
+
+
+def test_the_end_of_a_change_is_found_far_from_where_it_was_scored():
+    """A leak from 25 to 60 s that was taken for one of 2 s, steps of the grid being 3.3 s apart."""
+    m, split = leak().model, split_records([casid.Experiment(record(leaks=0.3, end=60.0))], 0.3)
+    weighing = Weighing(split.fitted)
+    at = weighing.weigh(m, fit_model(m, split.fitted, FitSettings(starts=1)))
+    refitting = Refitting(weighing)
+    rough = refitting.refit(at, parameter_jump(m, "k", BEGIN, 27.0), 0.1)
+    (found,) = placed(refitting, at, [rough], (), lambda _: None)
+    assert abs(found.effect.constants["time"] - (BEGIN - 0.05)) < 0.05
+    assert abs(found.effect.constants["end"] - (60.0 - 0.05)) < 0.05
+    assert found.fit.values["jump_k"] == pytest.approx(0.3, rel=0.02)
 
 
 def test_what_lasts_less_than_an_interval_of_the_grid_is_placed_about_the_burst_of_the_misfit():
