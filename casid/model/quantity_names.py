@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from casid.model.units import parse_unit
+from casid.model.units import parse_unit, same_dimension
 
 _QUANTITIES = {
     "N": ("force", "F"),
@@ -19,19 +19,27 @@ _QUANTITIES = {
 
 _NO_QUANTITY = "term", "c"
 
+_POWER = "power", "P"
+"""What watts are that heat nothing: those of a turbine, or into a store of energy."""
 
-def quantity_of(unit: str) -> str:
+
+def quantity_of(unit: str, rate_unit: str = "K") -> str:
     """What a quantity in `unit` is called in a sentence: `force`, `heat flow`, else `term`.
+
+    Parameters
+    ----------
+    rate_unit : of the state whose balance it is a term of; watts are a heat flow where that is a
+        temperature.
 
     Raises
     ------
     UnitError
         As `parse_unit`.
     """
-    return _quantity(unit)[0]
+    return _quantity(unit, rate_unit)[0]
 
 
-def letter_of(unit: str) -> str:
+def letter_of(unit: str, rate_unit: str = "K") -> str:
     """The letter of a quantity in `unit` in equations: `F` of a force, else that of a coefficient.
 
     Raises
@@ -39,11 +47,13 @@ def letter_of(unit: str) -> str:
     UnitError
         As `parse_unit`.
     """
-    return _quantity(unit)[1]
+    return _quantity(unit, rate_unit)[1]
 
 
-def _quantity(unit: str) -> tuple[str, str]:
+def _quantity(unit: str, rate_unit: str) -> tuple[str, str]:
     own = parse_unit(unit)
+    if own.dimension == parse_unit("W").dimension and not same_dimension(rate_unit, "K"):
+        return _POWER
     for text, found in _QUANTITIES.items():
         if parse_unit(text).dimension == own.dimension:
             return found

@@ -22,7 +22,7 @@ from casid.model.effects.effect import (
     known_while_null,
 )
 from casid.model.effects.names import GROWS, OPPOSES
-from casid.model.effects.place import Place, a_constant, a_quantity
+from casid.model.effects.place import Place, a_constant
 from casid.model.effects.places import place_named
 from casid.model.model import Model
 from casid.model.quantity_names import letter_of
@@ -96,14 +96,14 @@ def _law_words(place: Place, power: str, name: str, level: str) -> str:
     if place.is_mechanical:
         return place.words
     of = f"{name or place.where}{f' from {level}' if level else ''}"
-    return f"{a_quantity(place.unit, 'flow')} {GROWS} the {power} of {of}"
+    return f"{place.a_quantity('flow')} {GROWS} the {power} of {of}"
 
 
 def _opposing_words(place: Place) -> str:
     """What takes the place of dry friction where the balance is no force's."""
     if place.is_mechanical:
         return place.words
-    what = a_quantity(place.unit, "flow").partition(" ")[2]
+    what = place.a_quantity("flow").partition(" ")[2]
     example = ", as a dead voltage or a brush drop does" if what == "voltage" else ""
     return f"a constant {what} {OPPOSES} {place.velocity_name or place.where}{example}"
 
@@ -117,7 +117,7 @@ def coulomb_friction(model: Model, where: str | Place, speed: float) -> Effect:
     """
     place = place_named(model, where)
     v_0 = carrying_unit(speed)
-    letter = "F" if place.is_mechanical else letter_of(place.unit)
+    letter = "F" if place.is_mechanical else letter_of(place.unit, place.velocity_unit)
     p = Parameter(f"{letter}_c", place.unit, 0.0, lower=0.0)
     return force_along(
         place,
@@ -240,8 +240,10 @@ def offset(model: Model, where: str | Place) -> Effect:
     """A constant force, voltage or flow in a balance, or between two bodies or stores."""
     place = place_named(model, where)
     is_known = place.unit == "N m" or not place.is_mechanical
-    p = Parameter(f"{letter_of(place.unit) if is_known else 'F'}_0", place.unit, 0.0)
-    words = f"{a_constant(place.unit)} {place.words}".rstrip()
+    p = Parameter(
+        f"{letter_of(place.unit, place.velocity_unit) if is_known else 'F'}_0", place.unit, 0.0
+    )
+    words = f"{a_constant(place.unit, place.velocity_unit)} {place.words}".rstrip()
     return force_along(place, "offset", p, lambda F_0: F_0, description=words)
 
 

@@ -46,7 +46,8 @@ STEP, KNOCK, DRIFT = "step", "knock", "drift"
 def offset_step(model: Model, balance: str, time: float, end: float | None = None) -> Effect:
     """A constant force or voltage from `time` on, or until `end` (s of the record's clock)."""
     made = _set_in(offset(model, balance), time, end)
-    what = a_constant(model.balances[balance].unit)
+    b = model.balances[balance]
+    what = a_constant(b.unit, model.states[b.rate].unit)
     says = f"{what} {SETS_IN} {DURING_THE_RECORD}, in the {balance} balance"
     if end is not None:
         says = f"{what} acts in the {balance} balance {FOR_A_WHILE}"
@@ -62,7 +63,8 @@ def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
     b = model.balances[balance]
     unit = "J" if same_dimension(b.unit, "W") else unit_quotient(b.unit, "s", -1)
     J = Parameter(f"J_{balance}", unit, 0.0)
-    what = "a knock, a force" if is_mechanical(b.unit) else a_quantity(b.unit)
+    rate = model.states[b.rate].unit
+    what = "a knock, a force" if is_mechanical(b.unit) else a_quantity(b.unit, rate_unit=rate)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         first, last = (new.add_input(step_at(t)) for t in (time, time + Ts))

@@ -51,7 +51,7 @@ def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
         (Parameter(f"exponent_{suffix}", "1", 1.0, lower=lower, upper=upper),),
         apply,
         shape=f"|{name}|^n",
-        description=f"{a_quantity(place.unit, 'flow')} {GROWS} a power of {name}, not in "
+        description=f"{place.a_quantity('flow')} {GROWS} a power of {name}, not in "
         "proportion to it",
         constants={"reference": typical},
     )

@@ -50,6 +50,10 @@ class Place:
         """True for forces and torques, which may be dry friction, play or stops."""
         return is_mechanical(self.unit)
 
+    def a_quantity(self, otherwise: str = "term") -> str:
+        """What acts here is called, with its article: a force, a heat flow."""
+        return a_quantity(self.unit, otherwise, rate_unit=self.velocity_unit)
+
     @property
     def is_relative(self) -> bool:
         """True for a relative motion, which is no balance by its name."""
@@ -97,16 +101,16 @@ def is_electrical(unit: str) -> bool:
     return any(same_dimension(unit, known) for known in ("V", "A"))
 
 
-def a_quantity(unit: str, otherwise: str = "term") -> str:
+def a_quantity(unit: str, otherwise: str = "term", *, rate_unit: str = "K") -> str:
     """What a quantity in `unit` is called, with its article: a force, an amount flow."""
-    word = quantity_of(unit)
+    word = quantity_of(unit, rate_unit)
     word = otherwise if word == "term" else word
     return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
 
 
-def a_constant(unit: str) -> str:
+def a_constant(unit: str, rate_unit: str) -> str:
     """What a constant in a balance in `unit` is called: a constant torque, else a constant term."""
-    return f"{A_CONSTANT}{quantity_of(unit)}"
+    return f"{A_CONSTANT}{quantity_of(unit, rate_unit)}"
 
 
 def is_amount(unit: str) -> bool:

@@ -19,7 +19,7 @@ from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect, Sided, known_while_null
 from casid.model.effects.flow_laws import is_positive
 from casid.model.effects.names import bracketed
-from casid.model.effects.place import Place, a_quantity
+from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import UNNAMED_EFFECTS
 from casid.model.model import Model
@@ -40,7 +40,7 @@ def unnamed_effects(
     place = place_named(model, where)
     v, q = place.velocity, place.position
     v_, q_ = bracketed(place.velocity_name), bracketed(place.position_name)
-    what = a_quantity(place.unit)
+    what = place.a_quantity()
 
     def term(shape: str, says: str, of: Expr, v_power: int, q_power: int = 0) -> Effect:
         """The effect -c `of` along the place, with the unit of `of` in its powers."""
@@ -120,7 +120,7 @@ def linear_loss(
         priority=1,
         cost=2 if about else 1,
         shape=place.velocity_name,
-        description=f"{a_quantity(place.unit)} in proportion to {place.velocity_name}{beyond}, "
+        description=f"{place.a_quantity()} in proportion to {place.velocity_name}{beyond}, "
         "which the model leaves out",
     )
 
@@ -158,7 +158,7 @@ def saturating_force(model: Model, where: str | Place, typical: float) -> Effect
         sided="positive",
         priority=UNNAMED_EFFECTS.priority,
         shape=f"{v_}/sqrt(1+r{v_}^2)",
-        description=f"{a_quantity(place.unit)} that levels off with {v_}, as "
+        description=f"{place.a_quantity()} that levels off with {v_}, as "
         f"{v_}/sqrt(1 + {r.name} {v_}^2) does, not in proportion to it",
         constants={"reference": typical},
     )
@@ -181,7 +181,7 @@ def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
         lambda k: -k * place.position,
         priority=1,
         shape=place.position_name,
-        description=f"{a_quantity(place.unit)} in proportion to {place.position_name}, "
+        description=f"{place.a_quantity()} in proportion to {place.position_name}, "
         "which the model leaves out",
     )
 
@@ -210,7 +210,7 @@ def uptakes_of(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Itera
                 _taken(x),
                 priority=UNNAMED_EFFECTS.priority,
                 shape=name,
-                description=f"{a_quantity(place.unit)} in proportion to {name}, which the "
+                description=f"{place.a_quantity()} in proportion to {name}, which the "
                 "model leaves out",
             )
 

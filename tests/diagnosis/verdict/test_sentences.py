@@ -97,6 +97,7 @@ def test_dry_friction_is_a_matter_of_forces_alone(unit, rate, name, sentence):
     [
         ("V", "A", "voltage", ("V_c", "V_0")),
         ("W", "K", "heat flow", ("Q_c", "Q_0")),
+        ("W", "W", "power", ("P_c", "P_0")),  # of a turbine that lags behind its valve
         ("N", "m/s", "force", ("F_c", "F_0")),
         ("N m", "rad/s", "torque", ("F_c", "tau_0")),
         ("1/s", "1", "term", ("c_c", "c_0")),
@@ -124,6 +125,7 @@ def test_a_constant_is_called_by_what_its_balance_is_of(unit, rate, what, symbol
     [
         ("V", "A", "voltage"),
         ("W", "K", "heat flow"),
+        ("W", "J", "power"),
         ("m^3/s", "m", "flow"),
         ("mol/s", "mol", "amount flow"),
     ],

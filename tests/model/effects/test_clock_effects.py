@@ -88,7 +88,7 @@ def test_a_knock_leaves_its_impulse_over_the_mass():
 )
 def test_an_impulse_is_called_by_what_acts_for_an_instant(unit: str, impulse: str, words: str):
     m = casid.Model("store")
-    z = m.state("z", "1")
+    z = m.state("z", "K" if "heat" in words else "1")
     m.balance(z, "store", inertia=1.0, terms=[m.input("f", unit)], unit=unit)
     effect = knock(m, "store", AT, TS)
     assert (effect.parameters[0].unit, effect.description) == (impulse, words)
