@@ -170,11 +170,14 @@ def test_everything_the_diagnosis_knows_stands_in_the_text(page):
         assert expected in text, expected
 
 
-def test_warnings_of_both_fits_are_printed_beside_the_key_numbers():
+def test_warnings_of_the_extended_model_are_printed_beside_the_key_numbers():
+    """A bound of the model without the causes is the error that they make."""
     d = samples.deficient(N=100)
-    d = samples.changed(d, baseline=replace(d.baseline, warnings=("only 1 of 4 starts agrees",)))
-    text = Seen(page_of(d)).text
+    before = replace(d.baseline, warnings=("k is at its upper bound",))
+    after = replace(d.extended, warnings=("only 1 of 4 starts agrees",))
+    text = Seen(page_of(samples.changed(d, baseline=before, extended=after))).text
     assert text.index("Warning: only 1 of 4 starts agrees") < text.index(d.causes[0].sentence)
+    assert "Warning: k is at its upper bound" not in text
 
 
 def assert_loads_nothing(page):

@@ -157,10 +157,10 @@ def equations_of(model: Model, baseline: Model | None = None) -> ModelEquations:
 
 
 def _equations(model: Model) -> Iterator[ModelEquation]:
-    timed = _with_the_time(model)
+    shown = _shown_inputs(model)
 
     def read(expression: Expr, unit: str) -> Expr:
-        return timed(with_units(model, expression, unit))
+        return shown(with_units(model, expression, unit))
 
     for state, expression in model._rates.items():
         right = [read(expression, unit_quotient(model.states[state].unit, "s"))]
@@ -197,9 +197,16 @@ def _equations(model: Model) -> Iterator[ModelEquation]:
             yield _in_words("hold", "acting", name, _course(model, entry), "between its samples")
 
 
-def _with_the_time(model: Model) -> Callable[[Expr], Expr]:
-    """Puts the time t, and 1, in the place of generated inputs that are these."""
+def _shown_inputs(model: Model) -> Callable[[Expr], Expr]:
+    """Puts the time t, and 1, in the place of generated inputs that are these.
+
+    What acts late or lags is what `acting` says of it; the inputs that carry tangents are zero.
+    """
     found: dict[str, Expr] = {}
+    for stage in model.stages:
+        if stage.is_of_input:
+            found[stage.channel] = ca.SX.sym(f"acting {stage.channel}")
+            found |= dict.fromkeys(stage.carriers, ca.SX(0))
     for name, entry in model.inputs.items():
         if isinstance(entry.signal, TimeSince):
             found[name] = ca.SX.sym(f"(t - {entry.signal.origin:.6g} s)".replace("- -", "+ "))

@@ -109,7 +109,8 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
 def decision(d: Diagnosis) -> list[Section]:
     """What decides, on one screen: verdict, gain, how sure, what to change, what to do next."""
     facts = Facts.of(d)
-    warnings = [w for e in d.estimates.values() for w in e.warnings]
+    # A bound that the model without the causes ends at, as their error, is no warning of theirs.
+    warnings = (d.extended or d.baseline).warnings
     look = d.verdict if d.verdict in _VERDICTS else "undecided"
     words = _VERDICTS[look]
     if look == "adequate" and any(each.is_dominant for each in d.disturbances):

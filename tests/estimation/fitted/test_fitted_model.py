@@ -11,7 +11,7 @@ from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation.simulation_estimate import estimate_of
 from casid.model.clock_signals import StepAt
 from casid.model.effects.balance_effects import quadratic_damping
-from casid.model.effects.channel_effects import hold, sensor_lag, time_delay
+from casid.model.effects.channel_effects import dead_time, hold, sensor_lag, time_delay
 from casid.model.effects.effect import Motion
 from casid.model.effects.parameter_effects import parameter_jump, state_scheduled_parameter
 from casid.model.effects.periodic import periodic_disturbance
@@ -196,6 +196,20 @@ def test_the_equations_mark_what_was_added():
     assert not equations_of(plain).changed
     jump = equations_of(parameter_jump(plain, "m", 2.0).extend(plain), plain)
     assert [e.left_is_new for e in jump.changed] == [True]
+
+
+def test_an_input_that_acts_late_and_lags_is_written_as_what_acts():
+    """No input of casid's own, which carries a tangent, stands in an equation."""
+    plain = driven_mass()
+    late = dead_time(plain, "force", 0.2).extend(plain, starts={"dead_time_force": 0.1})
+    both = actuator_lag(late, "force", 0.5).extend(late, starts={"tau_force": 0.1})
+    assert str(equations_of(both, plain)).splitlines() == [
+        "dx/dt = v",
+        "(m) dv/dt = -k * x - d * v + [new: acting force]   [N]",
+        "position = x   [m]",
+        "acting force = [new: force(t - dead_time_force)]   [the input acts late]",
+        "acting force = [new: force behind a lag of tau_force]   [the actuator lags]",
+    ]
 
 
 def test_what_keeps_a_division_finite_is_not_shown():
