@@ -321,19 +321,43 @@ class Weighing:
             input_sd = {n: share * sd for n, sd in self.input_sd(full, fit.criterion).items()}
         return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
 
+    def without_forces(self, at: Weighted) -> Weighted | None:
+        """A model under the noise of sensors and inputs alone, where forces are likelier by BIC.
+
+        None where the noise holds no force, where none is likelier, and where misfit is known to
+        pass for them.
+        """
+        fit = at.unbiased or at.fit
+        if (
+            self.takes_disturbances
+            or at.noise_absorbs_misfit
+            or not at.full.forces(at.model.inputs)
+        ):
+            return None
+        noise = self._alone(fit, at.full)
+        if self._is_as_likely(noise, at.full, fit):
+            return None
+        criterion = self.criterion(at.model, noise, fit.values, at.criterion)
+        unbiased = None if at.unbiased is None else moved(fit, criterion, fit.x)
+        least = self.minimum(criterion)
+        return replace(at, fit=least, noise=noise, full=noise, unbiased=unbiased)
+
     def _without_forces(self, fit: Fit, full: NoiseModel) -> NoiseModel | None:
         """The noise of sensors and inputs alone, where the residual shows no more than that.
 
         A force that an accelerometer feels at once is as white there as its sensor's own noise, and
         takes a part of it by chance: each that was found has to be likelier by BIC.
         """
-        c, known = fit.criterion, self.known_noise
-        forces = [n for n, sd in full.source_sd.items() if n not in c.model.inputs and sd > 0.0]
-        if not forces:
+        if not full.forces(fit.criterion.model.inputs):
             return None
+        alone = self._alone(fit, full)
+        return replace(alone, known=full.known) if self._is_as_likely(alone, full, fit) else None
+
+    def _alone(self, fit: Fit, full: NoiseModel) -> NoiseModel:
+        """The noise of sensors and inputs alone that the residual shows."""
+        c, held = fit.criterion, dict(self.known_noise)
         alone = partial(estimate_noise, c, fit.x, responses=full.responses, has_disturbances=False)
         floors = input_noise_floor(c.data, list(c.model.inputs))
-        held = dict(known)
         found = alone(known=held)
         # An input that is held at its floor leaves its share to the next one that acts alike.
         while over := {
@@ -343,8 +367,13 @@ class Weighing:
         }:
             held |= over
             found = alone(known=held)
-        price = 0.5 * len(forces) * float(np.log(c.n_samples))
-        return replace(found, known=full.known) if found.misfit - full.misfit < price else None
+        return found
+
+    def _is_as_likely(self, alone: NoiseModel, full: NoiseModel, fit: Fit) -> bool:
+        """True if noise without forces is as likely as that with them, by BIC."""
+        c = fit.criterion
+        price = 0.5 * len(full.forces(c.model.inputs)) * float(np.log(c.n_samples))
+        return alone.misfit - full.misfit < price
 
     def noise(
         self,

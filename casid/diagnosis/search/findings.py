@@ -18,6 +18,7 @@ from casid.diagnosis.search.disturbance.disturbance_rival import (
     weighed_against_disturbances,
 )
 from casid.diagnosis.search.disturbance.first_cause import leaves_noise, seen_beside_disturbance
+from casid.diagnosis.search.disturbance.forces_in_noise import found_without_forces
 from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
 from casid.diagnosis.search.instants.instant_errors import with_instant_errors
 from casid.diagnosis.search.promotion import with_likelier_rivals
@@ -208,6 +209,14 @@ def _found(
                 leaves = partial(leaves_noise, search, beside.found.fit, settings)
                 first = seen.effects if attempt(what, leaves) else ()
         found = adopt_causes(search, start, fit, baseline.split, settings.refit, first)
+    what = "the search without forces in the noise"
+    alone = attempt(what, lambda: search.weighing.without_forces(start))
+    if alone is not None:
+        if not found.adopted:
+            without = partial(found_without_forces, search, alone, baseline, settings)
+            if (other := attempt(what, without)) is not None:
+                return other
+        baseline = replace(baseline, start=replace(start, noise_absorbs_misfit=True))
     what = "the comparison of what was found with a random disturbance"
     compared = attempt(
         what, lambda: weighed_against_disturbances(search, found, baseline, settings, beside)

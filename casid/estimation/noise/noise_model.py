@@ -13,7 +13,7 @@ sensitivities alike. `variances` estimates their variances.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -67,6 +67,10 @@ class NoiseModel:
         """The noise of sensors and measured inputs alone, without disturbances."""
         quiet = {name: input_sd.get(name, 0.0) for name in self.source_sd}
         return replace(self, source_sd=quiet, varying=())
+
+    def forces(self, inputs: Container[str]) -> list[str]:
+        """The sources with a variance that are no measured inputs."""
+        return [name for name, sd in self.source_sd.items() if sd > 0.0 and name not in inputs]
 
     def averaged(self) -> NoiseModel:
         """The noise with average responses, for parts of records that it was not found from."""
