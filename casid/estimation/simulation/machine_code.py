@@ -83,20 +83,24 @@ _MATHEMATICS = "".join(
 
 _EXPORTED = """
 #ifdef _WIN32
-__declspec(dllexport)
+#define EXPORTED __declspec(dllexport)
 #else
-__attribute__ ((visibility ("default")))
+#define EXPORTED __attribute__ ((visibility ("default")))
 #endif
 """
 
-_LOOP = (
+LOOP_BEGINS = (
     """
 #include <math.h>
 typedef int (*step_t)(const double **, double **, long long *, double *, int);
 """
     + _EXPORTED
-    + """
-void steps(step_t step, const long long *sizes, long long count, long long substeps, double *state,
+)
+"""Before the EXPORTED function `loop` of a C text, which calls formulas."""
+
+_LOOP = """
+EXPORTED
+void loop(step_t step, const long long *sizes, long long count, long long substeps, double *state,
            const double *u, const double *after, const double *p, const double *shares,
            double *numbers, double *kept, double *out, double *room, double easy) {
   static const double parts[3][3] = {{0, 0.5, 1}, {0, 0.25, 0.5}, {0.5, 0.75, 1}};
@@ -147,7 +151,6 @@ void steps(step_t step, const long long *sizes, long long count, long long subst
   }
 }
 """
-)
 """Through samples with any step: compiled once."""
 
 
@@ -209,7 +212,7 @@ class MachineCode:
         text, numbers = self._source
         for level in range(len(_LEVELS), self._level, -1):
             step = _library(text, _LEVELS[level - 1], folder, compile_it=level == wanted)
-            loop = None if step is None else _loop(folder)
+            loop = None if step is None else _steps_loop()
             if loop is not None:
                 self._steps, self._level = _called(loop, step, self._sizes, numbers), level
                 return
@@ -274,26 +277,47 @@ def source_of(function: Any) -> tuple[str, Array]:
     text = re.sub(r"=(-?\d[^;a-z\[]*(?:e[-+]\d+)?);", taken_out, text)
     (function_begins,) = re.finditer(r"^static (?=int casadi_f\d+\()", text, re.MULTILINE)
     helpers, step = text[: function_begins.start()], text[function_begins.end() :]
-    step = _EXPORTED + step[: step.index("\n}\n") + 3].replace("casadi_f0(", "step(", 1)
-    text = helpers + step
+    step = step[: step.index("\n}\n") + 3].replace("casadi_f0(", "step(", 1)
+    text = f"{helpers}{_EXPORTED}EXPORTED {step}"
     called = set(re.findall(r"\b([a-z]\w*)\(", re.sub(r"\w*(casadi|CASADI)\w*", "", text)))
     if called <= {*_OF_ONE.split(), *_OF_TWO.split(), "step", "sizeof"}:
         text = text.replace("#include <math.h>", _MATHEMATICS)
     return text, np.array(numbers)
 
 
-@functools.lru_cache(maxsize=8)
-def _loop(folder: Path) -> Any:
+def _steps_loop() -> Any:
     """The loop over samples, with its arguments; None where it cannot be compiled."""
+    types = [ctypes.c_void_p] * 2 + [ctypes.c_longlong] * 2
+    return compiled_loop(_LOOP, (*types, *[ctypes.c_void_p] * 9, ctypes.c_double))
+
+
+def compiled_loop(text: str, arguments: tuple[Any, ...], level: str = _LEVELS[-1]) -> Any:
+    """The function `loop` of a C text that goes over samples; None where it cannot be compiled."""
+    folder = cache_folder()
+    if folder is None or compiler() is None:
+        return None
     inside = folder / "loop"
     with contextlib.suppress(OSError):
         inside.mkdir(mode=0o700, exist_ok=True)
-    entry = _library(_LOOP, _LEVELS[-1], inside, compile_it=True)
+    entry = _library(LOOP_BEGINS + text, level, inside, compile_it=True)
     if entry is not None:
-        entry.argtypes = [ctypes.c_void_p] * 2 + [ctypes.c_longlong] * 2
-        entry.argtypes += [ctypes.c_void_p] * 9 + [ctypes.c_double]
-        entry.restype = None
+        entry.argtypes, entry.restype = arguments, None
     return entry
+
+
+def compiled_formula(function: Any) -> tuple[ctypes.c_void_p, Array] | None:
+    """The address of a formula's machine code, and its numbers; None where there is no compiler.
+
+    It is compiled at once, if it was not before: whether it is does not depend on what was computed
+    earlier, where what takes its place rounds otherwise.
+    """
+    folder = cache_folder()
+    if folder is None or compiler() is None:
+        return None
+    text, numbers = source_of(function)
+    level = _LEVELS[function.n_instructions() <= LARGEST[1]]
+    step = _library(text, level, folder, compile_it=True)
+    return None if step is None else (ctypes.cast(step, ctypes.c_void_p), numbers)
 
 
 @functools.lru_cache(maxsize=4096)
@@ -301,7 +325,7 @@ def _loaded(path: str) -> Any:
     """The function of a library; None where it cannot be loaded."""
     with contextlib.suppress(OSError, AttributeError):
         library = ctypes.CDLL(path)
-        return library.steps if Path(path).parent.name == "loop" else library.step
+        return library.loop if Path(path).parent.name == "loop" else library.step
     return None
 
 

@@ -7,11 +7,13 @@ are evaluated for many samples at a time, put together to those of a whole sampl
 
     S[k+1] = Phi[k] S[k] + Gamma[k]                                                            (1)
 
-and only (1) goes from sample to sample. It is the derivative of the very Runge-Kutta steps.
+and only (1) goes from sample to sample. It is the derivative of the very Runge-Kutta steps. Long
+records go through the same steps as machine code, where there is a compiler.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.estimation.simulation.compiled_tangents import LEAST, CompiledTangents, Formula
 from casid.estimation.simulation.stepping import with_constants
 from casid.model.explicit_form import Explicit
 from casid.time_limit import require_time
@@ -101,6 +104,12 @@ class WideTangents:
         start : (nf, nc) tangents of the first state; nc are parameters, then initial states.
         """
         N, columns = len(motion.x), start.shape[1]
+        if N * motion.places.shape[1] >= LEAST and self._compiled is not None:
+            formulas = (self._rate, self._out, self._late)
+            given = (motion.x, motion.after, motion.u, motion.u_next, motion.places)
+            constants = [of.constants(motion.p) for of in formulas]
+            require_time("simulation")
+            return self._compiled.along(given, constants, self.Ts, start)
         dy = np.empty((N, self._out.rows, columns))
         late = np.empty((N, self._late.rows, columns))
         count = min(max(NUMBERS // (4 * self.n_felt * columns), 16), N)
@@ -117,6 +126,12 @@ class WideTangents:
                 at = (motion.after[part], u, u_next, motion.p, places[:, -1, 2])
                 _, late[part] = self._late.along(at, states[1:])
         return dy, late, state
+
+    @functools.cached_property
+    def _compiled(self) -> CompiledTangents | None:
+        """The same as machine code; None where there is no compiler."""
+        formulas = [of.compiled() for of in (self._rate, self._out, self._late)]
+        return CompiledTangents.of(formulas, self.n_felt)
 
     def _states(self, motion: Known, part: slice, state: Array) -> tuple[Array, Array]:
         """(n + 1, nf, nc) tangents of the states at samples, and those one sample later."""
@@ -169,6 +184,15 @@ class _Slopes:
         self._function = ca.Function(name, arguments, [ca.densify(of)])
         self._mapped: dict[int, tuple[Any, Any]] = {}
 
+    def constants(self, p: Array) -> Array:
+        """What the function takes in the place of all parameters `p` (np,)."""
+        return np.asarray(self._constants(p), dtype=float).ravel()
+
+    def compiled(self) -> Formula | None:
+        """The same as machine code; None where there is no compiler."""
+        places = (self._row, self._column)
+        return Formula.of(self._function, int(self._ends[0]), self.rows, places)
+
     def at(self, point: _Point) -> tuple[Array, Array, Array]:
         """Value (n, ...), derivatives in states (n, rows, nf), those in parameters that are not 0.
 
@@ -180,7 +204,7 @@ class _Slopes:
             mapped = self._function.map("mapped", "serial", n, [3], [])
             self._mapped[n] = mapped.buffer()
         buffer, trigger = self._mapped[n]
-        own = np.asarray(self._constants(p), dtype=float).ravel()
+        own = self.constants(p)
         given = [np.ascontiguousarray(each) for each in (x, u, u_next, own, place)]
         found = np.empty((n, self._function.numel_out(0)))
         for i, argument in enumerate(given):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import casid
+from casid.compiler import compiler
 from casid.estimation.simulation import simulator, wide_tangents
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.effects.catalogue import catalogue
+from casid.model.effects.channel_effects import sensor_lag
 from casid.model.effects.effect import Sizes, extend_all
 
 TS = 0.05
@@ -65,6 +68,42 @@ def test_where_nothing_steps_tangents_have_a_column_for_every_unknown(monkeypatc
         assert run.dy.shape == (N, 1, 3)
         assert run.dbefore.shape == (N, 0, 3)
         assert not run.dy[:, :, 2].any()
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler is found here")
+@pytest.mark.parametrize("hold", ["zoh", "foh", "bandlimited"])
+def test_machine_code_goes_through_the_same_steps(monkeypatch, tmp_path, hold):
+    """In another order of sums: rounding grows with the 160 steps by which each tangent goes.
+
+    An output that steps where a held input does is late behind its lag, and a state that is held
+    from acting has no tangents of its own.
+    """
+    m = casid.Model("store and a part of it")
+    x, q, w = m.state("x", "m"), m.state("q", "m"), m.state("w", "m")
+    push = m.input("push", "m/s", hold=hold)
+    share, rate = m.parameter("share", "1/s", start=0.0), m.parameter("rate", "1/s", start=0.3)
+    m.derivative(x, push - rate * x**3 + share * q)
+    m.derivative(q, x - q)
+    m.derivative(w, ca.sin(x) - rate * w)
+    m.output("level", x + 0.2 * push, "m")
+    m.output("far", w, "m")
+    m = m.extend(sensor_lag(m, "level", 0.5))
+    monkeypatch.setenv("CASID_CACHE", str(tmp_path))
+    monkeypatch.setattr(simulator, "WIDE", 0)
+    u = np.random.default_rng(5).normal(size=(80, 1))
+    runs = []
+    for least in (np.inf, 0):
+        monkeypatch.setattr(wide_tangents, "LEAST", least)
+        s = Simulator(m, TS, list(m.parameters), substeps=2, pinned={"share": 0.0})
+        p = np.array([m.parameters[n].start or 0.1 for n in s.equations.parameters])
+        runs.append(s.sensitivities(u, p, np.full(s.nx, 0.1)))
+    assert list(tmp_path.glob("steps/loop/*.so"))
+    by_arrays, compiled = runs
+    assert by_arrays.dbefore.shape[1] == (hold == "zoh")
+    for name in ("dy", "dbefore", "dx_end"):
+        one, other = getattr(by_arrays, name), getattr(compiled, name)
+        assert np.any(one) or not one.size
+        np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.slow
