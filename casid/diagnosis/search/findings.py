@@ -13,6 +13,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.disturbance.disturbance_rival import (
     Beside,
+    leaves_next_to_nothing,
     leaves_only_disturbance,
     searched_beside,
     weighed_against_disturbances,
@@ -203,7 +204,10 @@ def _found(
         elif seen is not None:
             again = search.with_disturbances()
             beside = attempt(what, lambda: searched_beside(again, seen.at, baseline, settings))
-            if beside and attempt(what, lambda: leaves_only_disturbance(search, beside)):
+            if beside and (
+                attempt(what, lambda: leaves_next_to_nothing(beside, baseline))
+                or attempt(what, lambda: leaves_only_disturbance(search, beside))
+            ):
                 return beside.search, beside.bare, beside.found
             if beside and beside.found.fit is not None:
                 leaves = partial(leaves_noise, search, beside.found.fit, settings)

@@ -192,6 +192,17 @@ def searched_beside(
     return Beside(again, of, other, score, bare)
 
 
+def leaves_next_to_nothing(beside: Beside, baseline: Baseline) -> bool:
+    """True if the causes of a second search leave next to nothing of what was held out.
+
+    A search under the sensors' noise could add what explains a part of that little, at best.
+    """
+    fit = beside.found.fit
+    if fit is None or not beside.is_likelier:
+        return False
+    return is_all_but_predicted(*_errors(baseline.fit, fit, baseline.split))
+
+
 def leaves_only_disturbance(search: Search, beside: Beside) -> bool:
     """True if a random disturbance explains all that the causes of a second search do not.
 
