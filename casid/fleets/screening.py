@@ -40,7 +40,7 @@ from casid.diagnosis.evidence.prewhitening import (
 )
 from casid.diagnosis.evidence.recorded_channels import varying_channels, with_unused_columns
 from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
-from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
+from casid.diagnosis.evidence.score_tests import ScoreTable, scores_of, step_without_bias
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
 from casid.diagnosis.evidence.spectral_peaks import find_peaks
@@ -51,6 +51,7 @@ from casid.estimation.disturbances.disturbance_likelihood import errors
 from casid.estimation.holdout import split_records
 from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
+from casid.estimation.simulation.initial_state import with_states_anew
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -175,13 +176,14 @@ class Screen:
         x = _minimum(criterion, {})
         if x is None:
             # A sea may move the roll so that the simulation errs least far from the truth.
-            disturbed = self._screened_under_disturbance(
-                record, criterion, criterion.start, is_far=True
-            )
+            disturbed = self._screened_under_disturbance(record, criterion, None)
             return disturbed or Screened(0.0, _FAR)
-        fit = replace(self.at.fit, criterion=criterion, solution=replace(self.at.fit.solution, x=x))
-        if self._is_spoilt(fit, record):
+        fit = self._moved(criterion, x)
+        kept = self._without_first(fit, record)
+        if kept is None:
             return Screened(0.0, "some of its samples are faulty")
+        if kept is not record:
+            return self._screened(kept)
         at = Weighing([record], known_noise=self.problem.noise).estimated(fit)
         if at.noise_absorbs_misfit:
             disturbed = self._screened_under_disturbance(record, criterion, x)
@@ -208,31 +210,46 @@ class Screen:
         )
 
     def _screened_under_disturbance(
-        self, record: Experiment, criterion: SimulationError, x: Array, *, is_far: bool = False
+        self, record: Experiment, criterion: SimulationError, x: Array | None
     ) -> Screened | None:
         """Scores under a disturbance with a spectrum; None where the residual shows none.
 
-        None also where the fit is far away (`is_far`) and a standard error of a parameter exceeds
-        its value: a large enough force explains any value of it.
+        The likelihood of parameters and disturbance has several maxima, and least squares may lead
+        a fit in a sea far from the highest: it is begun at the asset's own parameters, and at the
+        record's own fit `x` only where the residual of the former shows no disturbance.
+
+        None also where the record has no fit (`x` is None) and does not determine a parameter.
         """
         weighing = Weighing([record], known_noise=self.problem.noise).with_disturbances()
-        fit = replace(self.at.fit, criterion=criterion, solution=replace(self.at.fit.solution, x=x))
-        found = weighing.estimated(fit)
+        start = with_states_anew(criterion, criterion.start)
+        found = weighing.estimated(self._moved(criterion, start))
+        if not found.full.spectra and x is not None:
+            found = weighing.estimated(self._moved(criterion, x))
         if not found.full.spectra:
             return None
-        bare = weighing.likeliest(self.at.model, found)
+        bare = weighing.likeliest_near(self.at.model, found)
+        if x is None and self._is_undetermined(bare):
+            return None
+        return self._scored_under_disturbance(bare)
+
+    def _moved(self, criterion: SimulationError, x: Array) -> Fit:
+        """The fit of the asset's reference at a point of another record's criterion."""
+        solution = replace(self.at.fit.solution, x=x)
+        return replace(self.at.fit, criterion=criterion, solution=solution)
+
+    def _is_undetermined(self, bare: Weighted) -> bool:
+        """True if a standard error exceeds a parameter's value: a large force explains any."""
         at, x = bare.criterion, bare.fit.x
-        if is_far:
-            wide = errors(at, x, bare.noise, self.problem.noise) > np.abs(x)
-            is_own = [v.source in self.problem.model.parameters for v in at.variables]
-            if np.any(wide & np.array(is_own)):
-                return None
+        wide = errors(at, x, bare.noise, self.problem.noise) > np.abs(x)
+        is_own = [v.source in self.problem.model.parameters for v in at.variables]
+        return bool(np.any(wide & np.array(is_own)))
+
+    def _scored_under_disturbance(self, bare: Weighted) -> Screened:
+        """Scores of the catalogue, and gains of the best, under a disturbance."""
+        at, x = bare.criterion, bare.fit.x
         table = scores_of(self._columns(at, x), at, input_sd=bare.input_sd, draws=0)
         p = table.smallest.adjusted if table.smallest is not None else 1.0
-        best = sorted(
-            (i for i, s in enumerate(table.scores) if s.is_visible),
-            key=lambda i: -table.scores[i].unrobust,
-        )[: SCREENING.taken_out]
+        best = best_scored(table)
         passing = 0.5 * float(
             chdtri(1, SCREENING.share * self.level / (2 * max(len(table.tested), 1)))
         )
@@ -284,32 +301,38 @@ class Screen:
         )
         white = replace(plain, wide=wide)
         table = scores_of(white, criterion, input_sd=at.input_sd, draws=0)
-        best = sorted(
-            (i for i, s in enumerate(table.scores) if s.is_visible),
-            key=lambda i: -table.scores[i].unrobust,
-        )[: SCREENING.taken_out]
+        best = best_scored(table)
         residual, tangent, psi = plain.of_record(plain.wide.start, 0)
         psi = psi[:, white.judged]
-        gain = max((self._fall(at, residual, tangent, psi[:, [i]]) for i in best), default=0.0)
-        return len(table.tested) * float(chdtrc(1, 2.0 * gain))
+        nothing = self._misfit_without(at, residual, tangent)
+        gain = max(
+            (
+                nothing - self._misfit_without(at, residual, np.hstack([tangent, psi[:, [i]]]))
+                for i in best
+            ),
+            default=0.0,
+        )
+        return len(table.tested) * float(chdtrc(1, 2.0 * max(gain, 0.0)))
 
-    def _fall(self, at: Weighted, residual: Array, tangent: Array, psi: Array) -> float:
-        """By how much minus the log-likelihood falls where an effect is taken out of a residual.
+    def _misfit_without(self, at: Weighted, residual: Array, columns: Array) -> float:
+        """Minus the log-likelihood of what columns (M, n) leave of a residual (M,).
 
-        residual (M,), tangent (M, n) and signature (M, 1) are weighted, samples by outputs.
+        Both are weighted, samples by outputs; the noise is estimated from what is left.
         """
         criterion = at.fit.criterion
-        both = np.hstack([tangent, psi])
-        size = np.sqrt(np.maximum(np.einsum("ij,ij->j", both, both), TINY))
-        left = residual - both @ (np.linalg.lstsq(both / size, residual, rcond=None)[0] / size)
-        noise = estimate_noise(
+        ny = len(criterion.weights)
+        both = np.column_stack([residual, columns]).reshape(-1, ny, 1 + columns.shape[1])
+        white = at.full.whiten(both, 0).reshape(len(residual), -1)
+        size = np.sqrt(np.maximum(np.einsum("ij,ij->j", white[:, 1:], white[:, 1:]), TINY))
+        step = np.linalg.lstsq(white[:, 1:] / size, white[:, 0], rcond=None)[0] / size
+        left = residual - columns @ step
+        return estimate_noise(
             criterion,
             at.fit.x,
             known=self.problem.noise,
             residuals=[left.reshape(-1, len(criterion.weights)) / criterion.weights],
             responses=at.full.responses,
-        )
-        return max(at.full.misfit - noise.misfit, 0.0)
+        ).misfit
 
     def _scored(self, criterion: SimulationError, x: Array, at: Weighted) -> Screened:
         """Scores, and the record's own parameters."""
@@ -345,11 +368,30 @@ class Screen:
             if name in model.parameters
         )
 
-    def _is_spoilt(self, fit: Fit, record: Experiment) -> bool:
-        """True if samples are clipped or outliers, which the search leaves out first."""
-        split = split_records([record], 0.0)
-        corrupted, _ = without_corrupted(fit, split, self.level, without=self.without)
-        return bool(corrupted.count)
+    def _without_first(self, fit: Fit, record: Experiment) -> Experiment | None:
+        """The record without a first sample from before its inputs had acted.
+
+        None if samples are clipped or outliers, which the search leaves out as well and reports.
+        """
+        split, alpha = split_records([record], 0.0), SCREENING.share * self.level
+        corrupted, split = without_corrupted(fit, split, alpha, without=self.without)
+        if corrupted.count > corrupted.first:
+            return None
+        return split.whole[0] if corrupted.first else record
+
+
+def best_scored(table: ScoreTable) -> list[int]:
+    """The effects that score best, by their places, of those that act alike the first.
+
+    Effects of one signature, as a delay and a lag of an input, explain the same.
+    """
+    visible = [i for i, s in enumerate(table.scores) if s.is_visible]
+    visible.sort(key=lambda i: -table.scores[i].unrobust)
+    out: list[int] = []
+    for i in visible[: SCREENING.taken_out]:
+        if all(abs(table.cosines[i, j]) < SCREENING.alike for j in out):
+            out.append(i)
+    return out
 
 
 _NEAR = (SCREENING.beside, SCREENING.beside)

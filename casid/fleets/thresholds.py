@@ -36,6 +36,12 @@ class Screening:
     taken_out: int = _is(
         4, "effects that are taken out of a residual that disturbances might explain", _STUDY
     )
+    alike: float = _is(
+        0.9999,
+        "cosine of two signatures from which what one explains stands for what the other does: "
+        "gains differ by the square of their sine, 2e-4 of them",
+        _SCREENING,
+    )
     beside: int = _is(
         6,
         "lines on either side of one in a sea, of which its level is taken: a sea's spectrum may "

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.evidence.score_tests import scores_of
 from casid.diagnosis.evidence.spectral_peaks import find_peaks
 from casid.fleets.fleet_settings import Reference, reference_of
 from casid.fleets.record_list import FleetRecord
-from casid.fleets.screening import Screen, Screened
+from casid.fleets.screening import Screen, Screened, best_scored
 from casid.fleets.thresholds import SCREENING
 from tests.support.fleet_records import samples, write_problem, write_record
 
@@ -65,6 +67,31 @@ def test_a_fit_at_a_bound_is_searched(screen: Screen, tmp_path: Path) -> None:
     """Whether the fit settles there, which leaves a misfit, or does not."""
     found = screened(screen, tmp_path, seed=9, gain=500.0)  # of at most 100
     assert found.passes(0.05)
+
+
+def test_a_first_sample_from_before_the_inputs_had_acted_is_left_out(
+    screen: Screen, tmp_path: Path
+) -> None:
+    """It tells of no fault of a sensor, as an outlier within the record does."""
+    for at, p_least in ((0, 0.05), (60, None)):
+        data = samples(11)
+        data["y"][at] += 0.4  # 20 standard deviations of its noise
+        found = screen(screen.declared.read(write_record(tmp_path / "r.csv", data)))
+        if p_least is None:
+            assert found.why == "some of its samples are faulty"
+        else:
+            assert not found.why
+            assert found.p_value > p_least
+
+
+def test_of_effects_with_one_signature_one_is_taken_out(screen: Screen) -> None:
+    """Regressed out of a residual, a column and its multiple leave the same of it."""
+    table = scores_of(screen.columns, screen.at.criterion, input_sd={}, draws=0)
+    places = best_scored(table)
+    assert 1 <= len(places) <= SCREENING.taken_out
+    assert max(s.unrobust for s in table.tested) == table.scores[places[0]].unrobust
+    twice = replace(table, cosines=np.ones_like(table.cosines))
+    assert best_scored(twice) == places[:1]
 
 
 def test_a_record_with_other_channels_is_searched(screen: Screen, tmp_path: Path) -> None:

@@ -178,7 +178,7 @@ class Weighing:
         if not np.isfinite(criterion.evaluate(x).value):
             return bare
         at = replace(bare, fit=moved(bare.fit, criterion, x), full=extended.full, unbiased=None)
-        found = self._comparable(self._in_turn(bare.model, at))
+        found = self._comparable(self.likeliest_near(bare.model, at))
         return min(bare, found, key=minus_log_likelihood)
 
     def _with_floors(self, found: Weighted) -> Weighing:
@@ -207,7 +207,7 @@ class Weighing:
         ----------
         found : a fit with the noise there, of which a force has a spectrum.
         """
-        return min((self._in_turn(model, at) for at in self._starts(found)), key=_at_point)
+        return min((self.likeliest_near(model, at) for at in self._starts(found)), key=_at_point)
 
     def _starts(self, found: Weighted) -> Iterator[Weighted]:
         """A fit, and the same with what is at its bound where the model declares it to start.
@@ -238,7 +238,7 @@ class Weighing:
         if any(s.damping is not None for s in found.full.spectra.values()):
             yield self.estimated(found.fit, is_simple=True)
 
-    def _in_turn(self, model: Model, at: Weighted) -> Weighted:
+    def likeliest_near(self, model: Model, at: Weighted) -> Weighted:
         """The likeliest parameters, and the noise there, in turn until neither moves."""
         best = self._whitened(model, at)
         near: Mapping[str, DisturbanceSpectrum] = {}

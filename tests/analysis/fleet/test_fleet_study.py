@@ -137,6 +137,22 @@ def test_a_sea_that_a_far_fit_hides_is_found_next_to_the_truth(
 
 
 @pytest.mark.slow
+def test_a_record_is_as_likely_as_itself_where_nothing_is_taken_out(
+    problem: casid.Problem, tmp_path: Path
+) -> None:
+    """What an effect explains is compared with what the parameters do, by one likelihood.
+
+    A sea so weak that its forces pass for white: p was 1e-29, by another likelihood of the same
+    residual, whatever was taken out of it. Among some hundred effects the most that chance
+    explains seldom has p below 1e-6.
+    """
+    voyages = [Voyage(3, 0, 0, seed=5), Voyage(3, 1, 14, seed=903514250, sea=1.5e-4)]
+    calm, sea = (problem.read(tmp_path / v.name) for v in write(voyages, tmp_path, 1))
+    screen = Screen.of(problem, calm, parameters(3, 1), level=0.05)
+    assert screen(sea).p_value > 1e-6
+
+
+@pytest.mark.slow
 def test_the_short_study_meets_its_targets(tmp_path: Path) -> None:
     assert STUDY.main(["--quick", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "fleet" / "report.html").exists()
