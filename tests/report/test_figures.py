@@ -167,6 +167,20 @@ def test_the_error_is_measured_minus_simulated():
     np.testing.assert_array_equal(np.asarray(trace(figure, "before").y, float), expected)
 
 
+def test_errors_of_samples_that_stand_alone_are_points():
+    """A line between neighbours shows nothing of a channel that is read at every tenth sample."""
+    v = samples.view(N=1500)
+    rare = np.zeros_like(v.used)
+    rare[::10] = v.used[::10]
+    (before,) = [
+        t for t in residual_time_figure([replace(v, used=rare)]).data if t.name == "before"
+    ]
+    assert before.mode == "markers"
+    expected = (v.measured[:, 0] - v.baseline[:, 0])[rare[:, 0]]
+    np.testing.assert_array_equal(np.asarray(before.y, float), expected)
+    assert trace(residual_time_figure([v]), "before").mode == "lines"
+
+
 def test_error_against_rate_shows_the_missing_damping_and_nothing_after_naming_it():
     """Where the model lacks -d_2 |p| p, the error falls with the rate; after, it is noise alone."""
     d = samples.deficient()

@@ -125,8 +125,13 @@ def residual_time_figure(records: Sequence[RecordView]) -> Any:
         for row, (output, unit) in enumerate(zip(v.outputs, v.output_units, strict=True)):
             for label, colour, _, simulated in simulations(v):
                 e = residual(v, simulated, row)
-                i = thinned(e, limit)
                 own: dict[str, Any] = {"view": v, "hovertemplate": hover_text(time_unit, unit)}
+                if _is_scattered(e):
+                    i = np.flatnonzero(np.isfinite(e))
+                    i = i[thinned(e[i], limit)]
+                    figure.points(row, v.t[i], e[i], label, {"color": colour, "size": 4.5}, **own)
+                    continue
+                i = thinned(e, limit)
                 figure.line(row, v.t[i], e[i], label, colour, width=1.0, **own)
             if v is views[0]:
                 figure.label(row, y=axis_text(output, unit, "error of "))
@@ -135,6 +140,15 @@ def residual_time_figure(records: Sequence[RecordView]) -> Any:
     figure.label(len(outputs) - 1, x=f"time [{time_unit}]")
     caption = of_records("Simulation error, measured minus simulated, against time", views)
     return figure.done(caption + left_out + thinning_note(views, limit), views)
+
+
+def _is_scattered(values: Array) -> bool:
+    """True where most samples that there are stand alone, which a line does not show."""
+    seen = np.isfinite(values)
+    beside = np.zeros_like(seen)
+    beside[1:] |= seen[:-1]
+    beside[:-1] |= seen[1:]
+    return bool(2 * np.sum(seen & ~beside) > np.sum(seen))
 
 
 def _readable_range(measured: Array, simulated: Sequence[Array]) -> tuple[list[float] | None, bool]:
