@@ -204,14 +204,13 @@ def _found(
         elif seen is not None:
             again = search.with_disturbances()
             beside = attempt(what, lambda: searched_beside(again, seen.at, baseline, settings))
-            if beside and (
-                attempt(what, lambda: leaves_next_to_nothing(beside, baseline))
-                or attempt(what, lambda: leaves_only_disturbance(search, beside))
-            ):
+            if beside and attempt(what, lambda: leaves_only_disturbance(search, beside)):
                 return beside.search, beside.bare, beside.found
             if beside and beside.found.fit is not None:
-                leaves = partial(leaves_noise, search, beside.found.fit, settings)
-                first = seen.effects if attempt(what, leaves) else ()
+                if attempt(what, partial(leaves_noise, search, beside.found.fit, settings)):
+                    first = seen.effects
+                elif attempt(what, lambda: leaves_next_to_nothing(beside, baseline)):
+                    return beside.search, beside.bare, beside.found
         found = adopt_causes(search, start, fit, baseline.split, settings.refit, first)
     what = "the search without forces in the noise"
     alone = attempt(what, lambda: search.weighing.without_forces(start))

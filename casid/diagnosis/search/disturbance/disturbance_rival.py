@@ -13,8 +13,8 @@ or input.
 
 The held-out part has another realisation of a disturbance, which therefore explains nothing that
 causes predict there (`is_predicted`). Where causes predict nearly all of it, and the rest is no
-disturbance, no second search is made; and where those of a search beside disturbances do, none is
-made under the noise of the sensors.
+disturbance, no second search is made; and where those of a search beside disturbances do, and leave
+misfit all the same, none is made under the noise of the sensors.
 
 Of several causes, each is compared with a disturbance in its place beside the others: the first may
 be a law, and the second an imitation of the disturbance. Where a disturbance remains, the extended
