@@ -13,7 +13,6 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.disturbance.disturbance_rival import (
     Beside,
-    leaves_next_to_nothing,
     leaves_only_disturbance,
     searched_beside,
     weighed_against_disturbances,
@@ -207,10 +206,8 @@ def _found(
             if beside and attempt(what, lambda: leaves_only_disturbance(search, beside)):
                 return beside.search, beside.bare, beside.found
             if beside and beside.found.fit is not None:
-                if attempt(what, partial(leaves_noise, search, beside.found.fit, settings)):
-                    first = seen.effects
-                elif attempt(what, lambda: leaves_next_to_nothing(beside, baseline)):
-                    return beside.search, beside.bare, beside.found
+                leaves = partial(leaves_noise, search, beside.found.fit, settings)
+                first = seen.effects if attempt(what, leaves) else ()
         found = adopt_causes(search, start, fit, baseline.split, settings.refit, first)
     what = "the search without forces in the noise"
     alone = attempt(what, lambda: search.weighing.without_forces(start))

@@ -7,7 +7,6 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.baseline import fit_baseline
-from casid.diagnosis.search import findings
 from casid.diagnosis.search.disturbance import disturbance_rival
 from casid.diagnosis.search.disturbance.disturbance_rival import weighed_against_disturbances
 from casid.diagnosis.search.rounds import Search
@@ -67,32 +66,3 @@ def test_nothing_is_sought_beside_a_disturbance_where_causes_predict(monkeypatch
     *_, after = weighed_against_disturbances(search, found, baseline, settings)
     assert [a.candidate.effect.kind for a in after.adopted] == ["cubic_stiffness"]
     assert any("treat the remainder as a disturbance" in s for s in said) != predicts
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("predicts", [True, False])
-def test_nothing_is_sought_under_sensors_noise_where_causes_beside_a_disturbance_predict(
-    monkeypatch, predicts
-):
-    """The spring is all that a search under the sensors' noise could find of what is not left.
-
-    Friction, and the delay of held samples that the model joins by lines, are kept out: what the
-    spring leaves is more than noise.
-    """
-    under_sensors_noise: list[Search] = []
-    adopt = findings.adopt_causes
-
-    def counted(search, *arguments):
-        under_sensors_noise.append(search)
-        return adopt(search, *arguments)
-
-    monkeypatch.setattr(findings, "adopt_causes", counted)
-    if not predicts:
-        monkeypatch.setattr(findings, "leaves_next_to_nothing", lambda *_: False)
-    without = frozenset(set(KINDS) - {"cubic_stiffness", "quadratic_stiffness"})
-    problem, settings = mass(), DiagnosisSettings(fit=FitSettings(starts=1), without=without)
-    split = split_records([casid.Experiment(record(), {}, "r")], 0.3)
-    baseline = fit_baseline(problem, split, settings)
-    found = findings.search_causes(problem, baseline, settings)
-    assert "cubic_stiffness" in {a.candidate.effect.kind for a in found.adopted}
-    assert bool(under_sensors_noise) != predicts

@@ -13,8 +13,7 @@ or input.
 
 The held-out part has another realisation of a disturbance, which therefore explains nothing that
 causes predict there (`is_predicted`). Where causes predict nearly all of it, and the rest is no
-disturbance, no second search is made; and where those of a search beside disturbances do, and leave
-misfit all the same, none is made under the noise of the sensors.
+disturbance, no second search is made.
 
 Of several causes, each is compared with a disturbance in its place beside the others: the first may
 be a law, and the second an imitation of the disturbance. Where a disturbance remains, the extended
@@ -191,17 +190,6 @@ def searched_beside(
     if other.adopted:
         score = _score(other.at, other.adopted, search=again, counted=bare.criterion)
     return Beside(again, of, other, score, bare)
-
-
-def leaves_next_to_nothing(beside: Beside, baseline: Baseline) -> bool:
-    """True if the causes of a second search leave next to nothing of what was held out.
-
-    A search under the sensors' noise could add what explains a part of that little, at best.
-    """
-    fit = beside.found.fit
-    if fit is None or not beside.is_likelier:
-        return False
-    return is_all_but_predicted(*_errors(baseline.fit, fit, baseline.split))
 
 
 def leaves_only_disturbance(search: Search, beside: Beside) -> bool:
