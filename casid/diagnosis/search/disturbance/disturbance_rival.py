@@ -55,6 +55,7 @@ from casid.diagnosis.search.simulation_errors import (
     is_all_but_predicted,
     is_predicted,
     simulation_errors,
+    why_not_adopted,
 )
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.holdout import Split
@@ -144,7 +145,7 @@ def weighed_against_disturbances(
     _add_refused(search, beside.search.refused)
     other = beside.found
     if beside.is_likelier and beside.score < min(score, nothing):
-        if is_random or takes_place_of(found, other, search, again):
+        if is_random or takes_place_of(found, other, search, again, baseline.split):
             return replace(beside.search, refused=search.refused), beside.bare, other
     if is_random:
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
@@ -152,11 +153,13 @@ def weighed_against_disturbances(
     return search, start, found
 
 
-def takes_place_of(found: Adoption, other: Adoption, search: Search, again: Search) -> bool:
+def takes_place_of(
+    found: Adoption, other: Adoption, search: Search, again: Search, split: Split
+) -> bool:
     """True if likelier causes beside a disturbance are to be named in the place of those found.
 
     Where they leave misfit, too, causes under the noise of the sensors stay: unless time ended
-    their search.
+    their search, or the others predict better what was held out.
 
     Parameters
     ----------
@@ -164,7 +167,14 @@ def takes_place_of(found: Adoption, other: Adoption, search: Search, again: Sear
     """
     if not found.adopted or search.attempts.not_done:
         return True
-    return not is_more_than_noise(other.at, again)
+    return not is_more_than_noise(other.at, again) or _predicts_better(found, other, split)
+
+
+def _predicts_better(found: Adoption, other: Adoption, split: Split) -> bool:
+    """True if the errors of other causes are less by more than chance, as an extension's are."""
+    if found.fit is None or other.fit is None:
+        return False
+    return not why_not_adopted(*_errors(found.fit, other.fit, split))
 
 
 def searched_beside(

@@ -23,6 +23,7 @@ from casid.diagnosis.search.disturbance.disturbance_rival import (
 )
 from casid.diagnosis.search.refinement import Adoption
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.simulation_errors import SimulationErrors
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.verdict import judgement
 from casid.diagnosis.verdict.tested_remainder import Remainder
@@ -206,18 +207,29 @@ def test_a_model_with_an_effect_is_no_less_likely_in_a_sea_than_without_it() -> 
     assert beside <= minus_log_likelihood(bare)
 
 
-@pytest.mark.parametrize("is_cut", [True, False])
-def test_causes_whose_search_time_ended_give_way_to_likelier_ones_beside_a_disturbance(
-    monkeypatch: pytest.MonkeyPatch, is_cut: bool
+@pytest.mark.parametrize(("is_cut", "error"), [(True, 1.2), (False, 1.2), (False, 0.6)])
+def test_causes_give_way_to_likelier_ones_beside_a_disturbance(
+    monkeypatch: pytest.MonkeyPatch, is_cut: bool, error: float
 ) -> None:
-    """Both leave misfit: a held input was named, and the other search had the cubic spring."""
+    """Where the time of their search ended, or the others predict better what was held out.
+
+    Both leave misfit: a held input was named, and the other search had the cubic spring as well.
+    """
+    errors = np.random.default_rng(2).standard_normal((2, 400, 1))
+    before, after = (
+        SimulationErrors(size * e, size * e, np.zeros((0, 1)))
+        for size, e in zip((1.0, error), errors, strict=True)
+    )
     monkeypatch.setattr(disturbance_rival, "is_more_than_noise", lambda *_: True)
-    found: Any = SimpleNamespace(adopted=("hold",))
-    other: Any = SimpleNamespace(at=None)
+    monkeypatch.setattr(disturbance_rival, "_errors", lambda *_: (before, after))
+    found: Any = SimpleNamespace(adopted=("hold",), fit=object())
+    other: Any = SimpleNamespace(at=None, fit=object())
     search: Any = SimpleNamespace(attempts=Attempts())
+    split: Any = None
     if is_cut:
         search.attempts.not_done["round 2 of the search"] = None
-    assert takes_place_of(found, other, search, search) == is_cut
+    takes = takes_place_of(found, other, search, search, split)
+    assert takes == (is_cut or error < 1.0)
 
 
 def test_a_residual_as_white_noise_has_the_gaussian_likelihood() -> None:
