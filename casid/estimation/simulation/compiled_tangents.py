@@ -126,8 +126,8 @@ class Formula:
         row, column = (each.astype(np.int64) for each in places)
         return None if code is None else cls(code, n, rows, (row, column))
 
-    def with_constants(self, own: Array) -> _Formula:
-        """As the loop takes it; `own` has to outlive it."""
+    def for_loop(self, own: Array) -> _Formula:
+        """As the loop takes it, with its constants `own`, which have to outlive it."""
         address, numbers = self.code
         row, column = self.places
         pointers = (each.ctypes.data for each in (numbers, own, row, column))
@@ -142,16 +142,15 @@ class CompiledTangents:
     rate: Formula
     out: Formula
     late: Formula
-    nf: int
 
     @classmethod
-    def of(cls, formulas: Sequence[Formula | None], nf: int) -> CompiledTangents | None:
+    def of(cls, formulas: Sequence[Formula | None]) -> CompiledTangents | None:
         """The same, or None where there is no compiler."""
         rate, out, late = formulas
         loop = compiled_loop(_LOOP, _ARGUMENTS, "-O3")
         if loop is None or rate is None or out is None or late is None:
             return None
-        return cls(loop, rate, out, late, nf)
+        return cls(loop, rate, out, late)
 
     def along(
         self,
@@ -172,7 +171,7 @@ class CompiledTangents:
         (N, nx), (nf, width) = x.shape, start.shape
         formulas = (self.rate, self.out, self.late)
         own = [np.ascontiguousarray(each, dtype=float) for each in constants]
-        given = [f.with_constants(c) for f, c in zip(formulas, own, strict=True)]
+        given = [f.for_loop(c) for f, c in zip(formulas, own, strict=True)]
         dy, late = (np.empty((N, f.rows, width)) for f in formulas[1:])
         state = np.array(start, dtype=float, order="C")
         sizes = np.array([N, places.shape[1], nx, u.shape[1], places.shape[3], nf, width])

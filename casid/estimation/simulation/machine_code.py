@@ -153,6 +153,13 @@ void loop(step_t step, const long long *sizes, long long count, long long subste
 """
 """Through samples with any step: compiled once."""
 
+_ARGUMENTS = (
+    *[ctypes.c_void_p] * 2,
+    *[ctypes.c_longlong] * 2,
+    *[ctypes.c_void_p] * 9,
+    ctypes.c_double,
+)
+
 
 class MachineCode:
     """The machine code of one step, once enough samples were taken for it to pay.
@@ -212,7 +219,7 @@ class MachineCode:
         text, numbers = self._source
         for level in range(len(_LEVELS), self._level, -1):
             step = _library(text, _LEVELS[level - 1], folder, compile_it=level == wanted)
-            loop = None if step is None else _steps_loop()
+            loop = None if step is None else compiled_loop(_LOOP, _ARGUMENTS)
             if loop is not None:
                 self._steps, self._level = _called(loop, step, self._sizes, numbers), level
                 return
@@ -285,17 +292,14 @@ def source_of(function: Any) -> tuple[str, Array]:
     return text, np.array(numbers)
 
 
-def _steps_loop() -> Any:
-    """The loop over samples, with its arguments; None where it cannot be compiled."""
-    types = [ctypes.c_void_p] * 2 + [ctypes.c_longlong] * 2
-    return compiled_loop(_LOOP, (*types, *[ctypes.c_void_p] * 9, ctypes.c_double))
-
-
 def compiled_loop(text: str, arguments: tuple[Any, ...], level: str = _LEVELS[-1]) -> Any:
     """The function `loop` of a C text that goes over samples; None where it cannot be compiled."""
     folder = cache_folder()
-    if folder is None or compiler() is None:
-        return None
+    return None if folder is None else _loop(folder, text, arguments, level)
+
+
+@functools.lru_cache(maxsize=8)
+def _loop(folder: Path, text: str, arguments: tuple[Any, ...], level: str) -> Any:
     inside = folder / "loop"
     with contextlib.suppress(OSError):
         inside.mkdir(mode=0o700, exist_ok=True)
@@ -315,7 +319,7 @@ def compiled_formula(function: Any) -> tuple[ctypes.c_void_p, Array] | None:
     if folder is None or compiler() is None:
         return None
     text, numbers = source_of(function)
-    level = _LEVELS[function.n_instructions() <= LARGEST[1]]
+    level = _LEVELS[-1] if function.n_instructions() <= LARGEST[1] else _LEVELS[0]
     step = _library(text, level, folder, compile_it=True)
     return None if step is None else (ctypes.cast(step, ctypes.c_void_p), numbers)
 

@@ -94,7 +94,7 @@ class WideTangents:
         f, h = (ca.Function("of", [e.x, e.u, e.p], [v]) for v in (e.f, e.h))
         self._rate = slopes("rate", f(e.x, at, e.p), felt)
         self._out = slopes("out", e.h, range(len(e.outputs)))
-        self._late = slopes("late", h(e.x, at, e.p), late)
+        self._late = slopes("late", h(e.x, at, e.p) if late else ca.SX(0, 1), late)
 
     def along(self, motion: Known, start: Array) -> tuple[Array, Array, Array]:
         """Tangents of the outputs (N, ny, nc), of the late ones, and of the last state (nf, nc).
@@ -131,7 +131,7 @@ class WideTangents:
     def _compiled(self) -> CompiledTangents | None:
         """The same as machine code; None where there is no compiler."""
         formulas = [of.compiled() for of in (self._rate, self._out, self._late)]
-        return CompiledTangents.of(formulas, self.n_felt)
+        return CompiledTangents.of(formulas)
 
     def _states(self, motion: Known, part: slice, state: Array) -> tuple[Array, Array]:
         """(n + 1, nf, nc) tangents of the states at samples, and those one sample later."""
