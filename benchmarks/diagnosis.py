@@ -111,9 +111,9 @@ def shared() -> Path:
 def scores(case: str) -> dict[str, Any]:
     """The score stage at the fitted model: candidates, CPU seconds, MB a candidate."""
     import casid
-    from casid.diagnosis.evidence.prewhitening import Weighing
-    from casid.diagnosis.evidence.score_tests import score_test
-    from casid.diagnosis.evidence.signal_sizes import sizes_of
+    from casid.diagnosis.evidence.records.signal_sizes import sizes_of
+    from casid.diagnosis.evidence.scores.score_tests import score_test
+    from casid.diagnosis.evidence.whitening.prewhitening import Weighing
     from casid.estimation.holdout import split_records
     from casid.estimation.simulation.fit import FitSettings, fit_model
     from casid.model.effects.catalogue import catalogue

@@ -11,7 +11,7 @@ from typing import Any
 
 def fewest_samples(unknowns: int) -> int:
     """The fewest samples from which a diagnosis judges a model with so many unknowns."""
-    module = importlib.import_module("casid.diagnosis.evidence.sufficiency")
+    module = importlib.import_module("casid.diagnosis.evidence.records.sufficiency")
     found: int = module.fewest_samples(unknowns)
     return found
 

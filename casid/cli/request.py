@@ -272,7 +272,10 @@ def read_experiment(
     from casid.data.reading.clocks.several_clocks import on_one_clock
     from casid.data.reading.columns import resolve
     from casid.data.reading.opening import open_table
-    from casid.diagnosis.evidence.recorded_channels import left_out_by_clock, refuse_shared_columns
+    from casid.diagnosis.evidence.records.recorded_channels import (
+        left_out_by_clock,
+        refuse_shared_columns,
+    )
 
     reading = reading or ReadingRequest()
     form = reading.form if problem.form is None else problem.form.updated(reading.form)

@@ -19,7 +19,7 @@ from casid.diagnosis.calibration.false_alarm_rate import require_runs
 from casid.diagnosis.calibration.null_runs import recipe_of
 from casid.diagnosis.diagnosis import Diagnosis, Evidence, Gain, Limits
 from casid.diagnosis.evidence.baseline import fit_baseline
-from casid.diagnosis.evidence.recorded_channels import with_unused_columns
+from casid.diagnosis.evidence.records.recorded_channels import with_unused_columns
 from casid.diagnosis.search.findings import Findings, search_causes
 from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
 from casid.diagnosis.thresholds import BUDGET

@@ -19,7 +19,7 @@ TESTS = "tests/diagnosis"
 
 # -- evidence -------------------------------------------------------------------------------------
 
-_SUFFICIENCY = f"{TESTS}/evidence/test_sufficiency.py"
+_SUFFICIENCY = f"{TESTS}/evidence/records/test_sufficiency.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class Sufficiency:
         0.2,
         "of the simulated motion, the rms that a disturbance adds, beyond which no likelihood "
         "tells laws of that motion apart: their kinks at rest are rounded off as far",
-        f"{TESTS}/search/test_alternatives.py",
+        f"{TESTS}/search/comparison/test_alternatives.py",
     )
 
 
@@ -75,19 +75,19 @@ class Bounds:
         3.0,
         "standard errors beyond a bound, that an estimate would be without it: from there on the "
         "bound holds it by more than chance",
-        f"{TESTS}/evidence/test_holding_bounds.py",
+        f"{TESTS}/evidence/whitening/test_holding_bounds.py",
         "one-sided, 0.13 %: beside a few parameters of which each may be at its bound",
     )
     beside: float = _is(
         0.01,
         "standard errors from a bound, all else fixed, within which a search ended at it",
-        f"{TESTS}/evidence/test_holding_bounds.py",
+        f"{TESTS}/evidence/whitening/test_holding_bounds.py",
     )
     rounding: float = _is(
         1e-10,
         "of the curvature of a parameter, left where all others move with it, below which the "
         "records do not determine it",
-        f"{TESTS}/evidence/test_holding_bounds.py",
+        f"{TESTS}/evidence/whitening/test_holding_bounds.py",
         "rounding of the Hessian",
     )
 
@@ -351,12 +351,12 @@ class Prewhitening:
     likelier: float = _is(
         0.5,
         "units of log-likelihood by which a further round under a disturbance has to gain",
-        f"{TESTS}/search/disturbance/test_disturbance_rival.py",
+        f"{TESTS}/search/noise_assumptions/test_disturbance_rival.py",
     )
     near_bound: float = _is(
         1e-6,
         "of a parameter, or of its scale: so near its bound it is held there",
-        f"{TESTS}/evidence/test_prewhitening.py",
+        f"{TESTS}/evidence/whitening/test_prewhitening.py",
     )
     steps: int = _is(40, "Gauss-Newton steps towards the root without bias", POWER_STUDY)
     patience: int = _is(8, "steps that come no nearer before it is given up", POWER_STUDY)
@@ -377,12 +377,12 @@ class Prewhitening:
         0.1,
         "of the record, beyond which no delay is sought in any case: of one step, recorded until "
         "it has settled, a sensor may be late by a twentieth",
-        f"{TESTS}/evidence/test_signal_sizes.py",
+        f"{TESTS}/evidence/records/test_signal_sizes.py",
     )
     trial: float = _is(
         0.01,
         "what the trial of an effect adds to a derivative or an output, over the RMS of that",
-        f"{TESTS}/evidence/test_divergence.py",
+        f"{TESTS}/evidence/scores/test_divergence.py",
     )
 
 
@@ -408,7 +408,7 @@ class Scores:
         1e-8,
         "squares that initial states of windows leave of a signature, at least: with more growth "
         "over a window than ten thousand, rounding would count",
-        f"{TESTS}/evidence/test_unstable_records.py",
+        f"{TESTS}/evidence/records/test_unstable_records.py",
     )
     much: float = _is(
         100.0,
@@ -474,7 +474,7 @@ class Functions:
     )
 
 
-_RESIDUAL = f"{TESTS}/evidence/test_residual_tests.py"
+_RESIDUAL = f"{TESTS}/evidence/residual/test_residual_tests.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -504,7 +504,7 @@ class Residual:
         0.05,
         "of the samples, with the other sign: with fewer the sign counts as constant, as a few "
         "neighbouring samples, which share their noise, show no dependence",
-        f"{TESTS}/evidence/test_candidate_functions.py",
+        f"{TESTS}/evidence/residual/test_candidate_functions.py",
     )
     by_chance: float = _is(2.0, "times what chance gives, for each after the first", _RESIDUAL)
     held_out_chance: float = _is(
@@ -515,7 +515,7 @@ class Residual:
     )
 
 
-_REFERENCES = f"{TESTS}/evidence/test_loop_references.py"
+_REFERENCES = f"{TESTS}/evidence/records/test_loop_references.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -537,7 +537,7 @@ class References:
     lags: int = _is(4, "samples of memory of that filter, beside an integral", _REFERENCES)
 
 
-_PEAKS = f"{TESTS}/evidence/test_spectral_peaks.py"
+_PEAKS = f"{TESTS}/evidence/residual/test_spectral_peaks.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -564,11 +564,11 @@ class Peaks:
         0.05,
         "of a resonance's largest squared gain from which a line is at it; the static gain is less "
         "of it: about two half-power bandwidths beside it",
-        f"{TESTS}/search/test_imitations.py",
+        f"{TESTS}/search/comparison/test_imitations.py",
     )
 
 
-_COGGING = f"{TESTS}/evidence/test_cogging_periods.py"
+_COGGING = f"{TESTS}/evidence/residual/test_cogging_periods.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -594,7 +594,7 @@ class Cogging:
 # -- search ---------------------------------------------------------------------------------------
 
 
-_JOINT_REFIT = f"{TESTS}/search/test_joint_refit.py"
+_JOINT_REFIT = f"{TESTS}/search/refits/test_joint_refit.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -620,7 +620,7 @@ class Comparison:
         1e-9,
         "of the misfit that a candidate leaves beyond what noise of the inputs gives, at least: "
         "less is a difference of two larger numbers",
-        f"{TESTS}/search/disturbance/test_disturbance_rival.py",
+        f"{TESTS}/search/noise_assumptions/test_disturbance_rival.py",
     )
     least_samples: float = _is(8.0, "independent samples of a residual, at least", POWER_STUDY)
     imitator: float = _is(
@@ -644,7 +644,7 @@ class Comparison:
         0.8,
         "of the best merit that a candidate has at least to be compared again under the noise that "
         "the best one leaves, where misfit passed for noise before",
-        f"{TESTS}/search/test_alternatives.py",
+        f"{TESTS}/search/comparison/test_alternatives.py",
     )
     likely: float = _is(
         4.0,
@@ -655,7 +655,7 @@ class Comparison:
         0.5,
         "of the merit of hysteresis, above which a law without memory goes first: beside the "
         "mixture of damping laws of a hull it has 0.7 of it, beside true hysteresis 0.1",
-        f"{TESTS}/search/test_alternatives.py",
+        f"{TESTS}/search/comparison/test_alternatives.py",
     )
     likely_share: float = _is(
         0.015,
@@ -673,7 +673,7 @@ class Refits:
         1e-5,
         "of the criterion of a candidate, less than which a step would lower it: the refit ends "
         "there. At 20 000 samples of noise alone a tenth of a unit of the log-likelihood",
-        f"{TESTS}/search/test_joint_refit.py",
+        f"{TESTS}/search/refits/test_joint_refit.py",
     )
     factors: tuple[float, ...] = _is(
         (0.5, 1.0, 2.0, 4.0), "times the linearised delay or lag to start from", POWER_STUDY
@@ -789,7 +789,7 @@ class Jumps:
     )
 
 
-_FRICTION = f"{TESTS}/search/friction/test_speeds.py"
+_FRICTION = f"{TESTS}/search/refits/test_friction_speeds.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -832,12 +832,12 @@ class Friction:
         (0.3, 0.6),
         "of the rms speed, at which the model's resistance tells dry friction from the rest: the "
         "second twice the first, both well above `Smoothing.speed`",
-        f"{TESTS}/search/test_imitations.py",
+        f"{TESTS}/search/comparison/test_imitations.py",
     )
     share: float = _is(
         0.1,
         "of the resistance at the first that must remain towards rest, for friction to be dry",
-        f"{TESTS}/search/test_imitations.py",
+        f"{TESTS}/search/comparison/test_imitations.py",
     )
 
 
@@ -849,17 +849,17 @@ class Stops:
         0.1,
         "of the stiffness beside it, below which a stop has to show its corner: one of a thirtieth "
         "is mostly a spring that hardens, as the righting arm of a ship does",
-        f"{TESTS}/search/test_soft_stops.py",
+        f"{TESTS}/search/refits/test_soft_stops.py",
     )
     rounded: float = _is(
         0.1,
         "of where it begins, over which a corner is rounded that is none: of a stop with a corner "
         "that is tens of units of log-likelihood, of a spring that hardens a gain",
-        f"{TESTS}/search/test_soft_stops.py",
+        f"{TESTS}/search/refits/test_soft_stops.py",
     )
 
 
-_PRESELECTION = f"{TESTS}/search/test_preselection.py"
+_PRESELECTION = f"{TESTS}/search/refits/test_preselection.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -869,18 +869,18 @@ class Bursts:
     over_mean: float = _is(
         3.0,
         "times the mean square of the whitened residual that a burst exceeds",
-        f"{TESTS}/evidence/test_bursts.py",
+        f"{TESTS}/evidence/residual/test_bursts.py",
     )
     share: float = _is(
         0.1,
         "of the sum of squares that it has beyond that, at least",
-        f"{TESTS}/evidence/test_bursts.py",
+        f"{TESTS}/evidence/residual/test_bursts.py",
         "a residual of noise has less than 0.02 in 300 samples",
     )
     start: float = _is(
         0.02,
         "of a record, within whose first part a burst is one of the initial state",
-        f"{TESTS}/evidence/test_bursts.py",
+        f"{TESTS}/evidence/residual/test_bursts.py",
     )
 
 
@@ -912,18 +912,18 @@ class Shortlist:
         4,
         "lags of further channels, at most, where misfit passes for noise: another lag, or a "
         "parameter at its bound, hides what they gain",
-        f"{TESTS}/search/test_lags_of_channels.py",
+        f"{TESTS}/search/refits/test_lags_of_channels.py",
     )
     few: int = _is(
         6,
         "effects that are seen beside a disturbance, at most, where the first cause is sought "
         "among them: many look alike there as well",
-        f"{TESTS}/search/disturbance/test_first_cause.py",
+        f"{TESTS}/search/noise_assumptions/test_first_cause.py",
     )
     alike: float = _is(
         0.99,
         "|cosine| from which an effect is refitted beside the best of those: it explains 98 %",
-        f"{TESTS}/search/disturbance/test_first_cause.py",
+        f"{TESTS}/search/noise_assumptions/test_first_cause.py",
     )
     switch: int = _is(
         3,
@@ -940,18 +940,18 @@ class Rounds:
     pairs: int = _is(
         2,
         "candidates beside which a second is sought where none alone lowers the held-out error",
-        f"{TESTS}/search/test_refinement.py",
+        f"{TESTS}/search/adoption/test_refinement.py",
     )
     lean: float = _is(
         0.1,
         "of what all causes explain, at most, that a model without the superfluous ones may lose: "
         "where it loses more, its fit went astray",
-        f"{TESTS}/search/test_refinement.py",
+        f"{TESTS}/search/adoption/test_refinement.py",
     )
     frictions: int = _is(
         2,
         "laws of friction or damping adopted in one place: a third repairs their shape",
-        f"{TESTS}/search/test_imitations.py",
+        f"{TESTS}/search/comparison/test_imitations.py",
     )
     backward_wald: float = _is(
         2.0,
@@ -963,7 +963,7 @@ class Rounds:
         0.1,
         "of the squared error that a cause removes a fitted sample, by which that of a held-out "
         "one may rise: a cause fitted to noise loses all of it there",
-        f"{TESTS}/search/test_simulation_errors.py",
+        f"{TESTS}/search/comparison/test_simulation_errors.py",
     )
     record_alpha: float = _is(
         0.01,
@@ -1114,12 +1114,12 @@ class Foresight:
         0.25,
         "of the squares of each held-out error that causes may leave for a random disturbance to "
         "be no explanation of what they explain: it is another one in what was held out",
-        f"{TESTS}/search/test_simulation_errors.py",
+        f"{TESTS}/search/comparison/test_simulation_errors.py",
     )
     p: float = _is(
         1e-3,
         "chance that they fall so far, at most: several candidates had to lower them",
-        f"{TESTS}/search/test_simulation_errors.py",
+        f"{TESTS}/search/comparison/test_simulation_errors.py",
         "Blackman and Tukey, The Measurement of Power Spectra, Dover 1958, section 23",
     )
     all_but: float = _is(
@@ -1162,13 +1162,13 @@ class Growth:
         0.1,
         "by which the held-out error may grow where a disturbance is most of it, with or without "
         "the cause",
-        f"{TESTS}/search/disturbance/test_disturbance_rival.py",
+        f"{TESTS}/search/noise_assumptions/test_disturbance_rival.py",
     )
     by_least_squares: float = _is(
         0.5,
         "of the fitted error, by which it may grow at most where least squares fits of a "
         "disturbance what is no part of the model",
-        f"{TESTS}/search/test_simulation_errors.py",
+        f"{TESTS}/search/comparison/test_simulation_errors.py",
     )
 
 
@@ -1193,19 +1193,19 @@ class Judging:
         1e-4,
         "share of the misfit below which a significant effect is not listed as a remainder, unless "
         "the extended model has it: in no figure would anybody see it",
-        f"{TESTS}/search/test_refinement.py",
+        f"{TESTS}/search/adoption/test_refinement.py",
         "a hundredth of the square root, in units of the error; engineering judgement",
     )
     carried: float = _is(
         0.5,
         "of its value, by which a parameter of the model moves without a cause that is one "
         "although it explains little",
-        f"{TESTS}/search/test_refinement.py",
+        f"{TESTS}/search/adoption/test_refinement.py",
     )
     clearly: float = _is(
         5.0,
         "standard errors, by which it moves at least: well beyond what chance and misfit give",
-        f"{TESTS}/search/test_refinement.py",
+        f"{TESTS}/search/adoption/test_refinement.py",
     )
     expressed: float = _is(
         0.03,

@@ -33,18 +33,18 @@ from casid.diagnosis.evidence.gain_under_disturbance import (
     gains_under_disturbance,
     unwhitened,
 )
-from casid.diagnosis.evidence.prewhitening import (
+from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
+from casid.diagnosis.evidence.records.recorded_channels import varying_channels, with_unused_columns
+from casid.diagnosis.evidence.records.signal_sizes import sizes_of
+from casid.diagnosis.evidence.records.sufficiency import fewest_samples, why_uninformative
+from casid.diagnosis.evidence.residual.spectral_peaks import find_peaks
+from casid.diagnosis.evidence.scores.score_tests import ScoreTable, scores_of, step_without_bias
+from casid.diagnosis.evidence.scores.signature_columns import Columns, extended_columns
+from casid.diagnosis.evidence.whitening.prewhitening import (
     Weighing,
     Weighted,
     not_below,
 )
-from casid.diagnosis.evidence.recorded_channels import varying_channels, with_unused_columns
-from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
-from casid.diagnosis.evidence.score_tests import ScoreTable, scores_of, step_without_bias
-from casid.diagnosis.evidence.signal_sizes import sizes_of
-from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
-from casid.diagnosis.evidence.spectral_peaks import find_peaks
-from casid.diagnosis.evidence.sufficiency import fewest_samples, why_uninformative
 from casid.diagnosis.thresholds import PEAKS
 from casid.errors import CasidError, DataError
 from casid.estimation.disturbances.disturbance_likelihood import errors

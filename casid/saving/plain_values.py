@@ -34,6 +34,12 @@ MOVED: Mapping[str, str] = {
         "diagnosis.calibration.calibration.Calibration"
     ),
     **{
+        f"diagnosis.evidence.residual_tests.{name}": (
+            f"diagnosis.evidence.residual.residual_tests.{name}"
+        )
+        for name in ("Band", "Correlated", "ResidualTests")
+    },
+    **{
         f"model.model.{name}": f"model.declarations.{name}"
         for name in ("Balance", "Blend", "Input", "Parameter", "Stage", "State")
     },

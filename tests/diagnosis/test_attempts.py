@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 import casid
 from casid.diagnosis.attempts import Attempts
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search import rounds
 from casid.model.declarations import Parameter
 from casid.model.effects.catalogue import catalogue

@@ -347,7 +347,7 @@ def test_a_user_sees_verdict_cause_and_gain_in_the_text():
 
 def test_a_recorded_channel_named_like_the_eliminated_input_is_no_candidate():
     """a_y is in the model already, behind the accelerometer that took its place."""
-    from casid.diagnosis.evidence.recorded_channels import varying_channels
+    from casid.diagnosis.evidence.records.recorded_channels import varying_channels
 
     rng = np.random.default_rng(1)
     channels = {n: rng.standard_normal(50) for n in ("gyro", "accel", "a_y", "yaw_rate")}

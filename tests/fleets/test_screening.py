@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.score_tests import scores_of
-from casid.diagnosis.evidence.spectral_peaks import find_peaks
+from casid.diagnosis.evidence.residual.spectral_peaks import find_peaks
+from casid.diagnosis.evidence.scores.score_tests import scores_of
 from casid.fleets.fleet_settings import Reference, reference_of
 from casid.fleets.record_list import FleetRecord
 from casid.fleets.screening import Screen, Screened, best_scored

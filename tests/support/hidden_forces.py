@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 Force = Callable[[float, float, float, float], float]  # x, v, speed, t -> N

@@ -12,7 +12,7 @@ from casid.diagnosis.advice.next_experiment import Proposal
 from casid.diagnosis.advice.undetectable import Undetectable
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.evidence.disturbances import Disturbance
-from casid.diagnosis.evidence.residual_tests import DETERMINISTIC, Band, ResidualTests
+from casid.diagnosis.evidence.residual.residual_tests import DETERMINISTIC, Band, ResidualTests
 from casid.diagnosis.unexplained.description import Occurrence, Unexplained
 from casid.diagnosis.unexplained.missing_force import Dependence, MissingForce
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, ForceSpectrum, SmoothedForce

@@ -39,7 +39,7 @@ from scipy.special import ndtri
 from casid.arrays import Array
 from casid.data.files import plain_fields
 from casid.deprecation import renamed
-from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.evidence.scores.score_tests import ScoreTable
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import DataError
 from casid.model.effects.effect import Effect

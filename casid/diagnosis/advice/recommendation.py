@@ -15,7 +15,7 @@ from casid.diagnosis.advice.undetectable import (
     undetectable_effects,
 )
 from casid.diagnosis.evidence.disturbances import Disturbance
-from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.evidence.scores.score_tests import ScoreTable
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING

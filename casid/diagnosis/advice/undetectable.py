@@ -16,7 +16,7 @@ from typing import Any, Literal
 from casid.data.experiment import Experiment
 from casid.data.files import plain_fields
 from casid.deprecation import renamed
-from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.evidence.scores.score_tests import ScoreTable
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError
 from casid.identifiability.combinations.closed_form import families, joint_invariants

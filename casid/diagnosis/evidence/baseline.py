@@ -11,11 +11,6 @@ import numpy as np
 
 from casid.data.problem import Problem
 from casid.diagnosis.attempts import FAILURES, reason_of
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
-from casid.diagnosis.evidence.recorded_channels import (
-    channels_held_out_too,
-    varying_channels,
-)
 from casid.diagnosis.evidence.recording_faults.corrupted_samples import (
     CorruptedSamples,
     without_corrupted,
@@ -27,15 +22,20 @@ from casid.diagnosis.evidence.recording_faults.rectified_channels import (
 )
 from casid.diagnosis.evidence.recording_faults.steps_between_rows import steps_between_rows
 from casid.diagnosis.evidence.recording_faults.steps_in_gaps import with_steps_in_gaps
-from casid.diagnosis.evidence.robust_errors import std_error
-from casid.diagnosis.evidence.sufficiency import (
+from casid.diagnosis.evidence.records.recorded_channels import (
+    channels_held_out_too,
+    varying_channels,
+)
+from casid.diagnosis.evidence.records.sufficiency import (
     few_step_fit,
     weighted_as_white,
     why_doubtful,
     why_undecided,
     why_uninformative,
 )
-from casid.diagnosis.evidence.unstable_records import records_in_windows
+from casid.diagnosis.evidence.records.unstable_records import records_in_windows
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.robust_errors import std_error
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
-from casid.diagnosis.evidence.signature_columns import Columns
+from casid.diagnosis.evidence.scores.signature_columns import Columns
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.thresholds import DISTURBED
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.noise.noise_model import NoiseModel

@@ -9,26 +9,29 @@ from functools import partial
 from casid.data.problem import Problem
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
-from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.search.adoption.promotion import with_likelier_rivals
+from casid.diagnosis.search.adoption.reconsideration import reconsidered
+from casid.diagnosis.search.adoption.refinement import Adoption
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
-from casid.diagnosis.search.disturbance.disturbance_rival import (
+from casid.diagnosis.search.comparison.simulation_errors import Soundness
+from casid.diagnosis.search.comparison.sizes_by_record import SizesByRecord, with_sizes_by_record
+from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
+from casid.diagnosis.search.instants.instant_errors import with_instant_errors
+from casid.diagnosis.search.noise_assumptions.disturbance_rival import (
     Beside,
     leaves_only_disturbance,
     searched_beside,
     weighed_against_disturbances,
 )
-from casid.diagnosis.search.disturbance.first_cause import leaves_noise, seen_beside_disturbance
-from casid.diagnosis.search.disturbance.forces_in_noise import found_without_forces
-from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
-from casid.diagnosis.search.instants.instant_errors import with_instant_errors
-from casid.diagnosis.search.promotion import with_likelier_rivals
-from casid.diagnosis.search.reconsideration import reconsidered
-from casid.diagnosis.search.refinement import Adoption
+from casid.diagnosis.search.noise_assumptions.first_cause import (
+    leaves_noise,
+    seen_beside_disturbance,
+)
+from casid.diagnosis.search.noise_assumptions.forces_in_noise import found_without_forces
 from casid.diagnosis.search.refusals import Refusal
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
-from casid.diagnosis.search.simulation_errors import Soundness
-from casid.diagnosis.search.sizes_by_record import SizesByRecord, with_sizes_by_record
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import BUDGET
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise

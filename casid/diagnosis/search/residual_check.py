@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.residual_tests import (
+from casid.diagnosis.evidence.residual.residual_tests import (
     DISTURBANCE,
     NOISE,
     ResidualTests,
     residual_tests,
 )
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import ROUNDS
 

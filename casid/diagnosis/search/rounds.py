@@ -15,35 +15,43 @@ import numpy as np
 from scipy.stats import norm
 
 from casid.diagnosis.attempts import Attempts, reason_of
-from casid.diagnosis.evidence.cogging_periods import CoggingCandidate, cogging_candidates
-from casid.diagnosis.evidence.loop_references import loop_references
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
-from casid.diagnosis.evidence.residual_tests import ResidualTests
-from casid.diagnosis.evidence.score_tests import (
+from casid.diagnosis.evidence.records.loop_references import loop_references
+from casid.diagnosis.evidence.records.signal_sizes import sizes_of
+from casid.diagnosis.evidence.residual.cogging_periods import CoggingCandidate, cogging_candidates
+from casid.diagnosis.evidence.residual.residual_tests import ResidualTests
+from casid.diagnosis.evidence.residual.spectral_peaks import (
+    PeriodicCandidate,
+    peaks_of,
+    periodic_candidates,
+)
+from casid.diagnosis.evidence.scores.score_tests import (
     Score,
     ScoreTable,
     has_finite_tangent,
     score_test,
 )
-from casid.diagnosis.evidence.signal_sizes import sizes_of
-from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, peaks_of, periodic_candidates
-from casid.diagnosis.search.alternatives import on_common_samples, ranked_by_remainder, rejudge
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
-from casid.diagnosis.search.dead_times import with_far_dead_times
-from casid.diagnosis.search.friction.speeds import sharpened
-from casid.diagnosis.search.imitations import (
+from casid.diagnosis.search.comparison.alternatives import (
+    on_common_samples,
+    ranked_by_remainder,
+    rejudge,
+)
+from casid.diagnosis.search.comparison.imitations import (
     drives_one_way,
     is_at_resonance,
     is_further_friction,
 )
 from casid.diagnosis.search.instants.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.instants.temporary_changes import placed_changes
-from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
-from casid.diagnosis.search.lags_of_channels import delays_of_best, lags_beside
-from casid.diagnosis.search.preselection import Start, preselected
+from casid.diagnosis.search.refits.dead_times import with_far_dead_times
+from casid.diagnosis.search.refits.friction_speeds import sharpened
+from casid.diagnosis.search.refits.joint_refit import Refitting, moved_parameter
+from casid.diagnosis.search.refits.lags_of_channels import delays_of_best, lags_beside
+from casid.diagnosis.search.refits.preselection import Start, preselected
+from casid.diagnosis.search.refits.soft_stops import without_soft_stops
+from casid.diagnosis.search.refits.swinging_parts import beside_lines
 from casid.diagnosis.search.refusals import Refusal
-from casid.diagnosis.search.soft_stops import without_soft_stops
-from casid.diagnosis.search.swinging_parts import beside_lines
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import BUDGET, COMPARISON, RESTARTS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError

@@ -7,9 +7,25 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from casid.arrays import Array
-from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.score_tests import ScoreTable
-from casid.diagnosis.search.alternatives import (
+from casid.diagnosis.evidence.scores.score_tests import ScoreTable
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.search.adoption.event_renaming import with_last_event_renamed
+from casid.diagnosis.search.adoption.friction_sharpness import (
+    with_sharp_friction,
+    with_sharp_friction_beside,
+    without_blunt_reversals,
+)
+from casid.diagnosis.search.adoption.powers_of_signals import with_better_powers
+from casid.diagnosis.search.adoption.reconsideration import better_rivals
+from casid.diagnosis.search.adoption.refinement import (
+    Adoption,
+    Refinement,
+    exchanged,
+    weighed_whole,
+    whole_fit,
+)
+from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
+from casid.diagnosis.search.comparison.alternatives import (
     is_imitator,
     laws_before_memory,
     near_ones,
@@ -17,27 +33,7 @@ from casid.diagnosis.search.alternatives import (
     rivals_of,
     without_imitations,
 )
-from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
-from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside, sole_disturbance
-from casid.diagnosis.search.friction.sharpness import (
-    with_sharp_friction,
-    with_sharp_friction_beside,
-    without_blunt_reversals,
-)
-from casid.diagnosis.search.instants.event_renaming import with_last_event_renamed
-from casid.diagnosis.search.powers_of_signals import with_better_powers
-from casid.diagnosis.search.reconsideration import better_rivals
-from casid.diagnosis.search.refinement import (
-    Adoption,
-    Refinement,
-    exchanged,
-    weighed_whole,
-    whole_fit,
-)
-from casid.diagnosis.search.refusals import ACCEPTED, LEAVES_MORE, Refusal
-from casid.diagnosis.search.residual_check import is_more_than_noise, is_noise_alone
-from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.search.simulation_errors import (
+from casid.diagnosis.search.comparison.simulation_errors import (
     SimulationErrors,
     Soundness,
     is_as_good_held_out,
@@ -45,8 +41,12 @@ from casid.diagnosis.search.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
-from casid.diagnosis.search.soft_stops import is_soft_stop
-from casid.diagnosis.search.swinging_parts import may_move
+from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside, sole_disturbance
+from casid.diagnosis.search.refits.soft_stops import is_soft_stop
+from casid.diagnosis.search.refits.swinging_parts import may_move
+from casid.diagnosis.search.refusals import ACCEPTED, LEAVES_MORE, Refusal
+from casid.diagnosis.search.residual_check import is_more_than_noise, is_noise_alone
+from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import BUDGET, COMPARISON, FRICTION, ROUNDS
 from casid.estimation.holdout import Split, why_worse
 from casid.estimation.local_rank import rank_of

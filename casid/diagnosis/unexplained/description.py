@@ -17,10 +17,15 @@ from scipy.stats import spearmanr
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
-from casid.diagnosis.evidence.force_functions import TIME, variables_of
-from casid.diagnosis.evidence.linearised_path import Linearised
-from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
+from casid.diagnosis.evidence.residual.force_functions import TIME, variables_of
+from casid.diagnosis.evidence.residual.linearised_path import Linearised
+from casid.diagnosis.evidence.residual.residual_tests import (
+    IN_TIME,
+    NOISE,
+    ResidualTests,
+    residual_tests,
+)
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION
 from casid.diagnosis.unexplained.missing_force import (
     Dependence,

@@ -17,7 +17,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
-from casid.diagnosis.evidence.force_functions import (
+from casid.diagnosis.evidence.residual.force_functions import (
     TIME,
     Group,
     Table,
@@ -28,9 +28,9 @@ from casid.diagnosis.evidence.force_functions import (
     units_of,
     variables_of,
 )
-from casid.diagnosis.evidence.linearised_path import Linearised
-from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.signatures import Regression, Tested, require_place
+from casid.diagnosis.evidence.residual.linearised_path import Linearised
+from casid.diagnosis.evidence.residual.signatures import Regression, Tested, require_place
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES, TERMS
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
 from casid.diagnosis.unexplained.variables import variable_words

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.linearised_path import Linearised
+from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.thresholds import SMOOTHING
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+from casid.diagnosis.search.adoption.refinement import weighed_whole, whole_fit
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.findings import Findings
-from casid.diagnosis.search.refinement import weighed_whole, whole_fit
 from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.thresholds import RESTARTS
 from casid.estimation.noise.variances import error_over_noise

@@ -14,9 +14,9 @@ from scipy.stats import f as f_distribution
 from casid.arrays import TINY, Array, BoolArray
 from casid.data.channel_quality import quantisation_step
 from casid.data.problem import Problem
-from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.search.comparison.simulation_errors import simulation_errors
 from casid.diagnosis.search.findings import Findings
-from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.diagnosis.thresholds import FUNCTIONS, JUDGING, RESIDUAL
 from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms

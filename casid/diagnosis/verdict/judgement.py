@@ -8,10 +8,14 @@ from functools import partial
 
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.disturbances import Disturbance
-from casid.diagnosis.evidence.holding_bounds import held_beyond_chance
-from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.robust_errors import std_error
-from casid.diagnosis.evidence.sufficiency import none_is_known, still_inputs, weak_parameters
+from casid.diagnosis.evidence.records.sufficiency import (
+    none_is_known,
+    still_inputs,
+    weak_parameters,
+)
+from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.robust_errors import std_error
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
 from casid.diagnosis.verdict.error_bars import bars_of, unknown_sizes

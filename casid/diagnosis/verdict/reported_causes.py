@@ -15,7 +15,7 @@ from casid.diagnosis.evidence.recording_faults.rectified_channels import Rectifi
 from casid.diagnosis.evidence.recording_faults.spikes import Spikes
 from casid.diagnosis.evidence.recording_faults.stuck_sensors import Standstills
 from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
-from casid.diagnosis.search.contributions import contributions_of
+from casid.diagnosis.search.comparison.contributions import contributions_of
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.search.instants.jump_times import events_of
 from casid.diagnosis.search.rounds import Search

@@ -15,13 +15,13 @@ from scipy.stats import chi2
 
 from casid.arrays import TINY, Array, robust_sd
 from casid.diagnosis.evidence.disturbances import Disturbance, disturbances_of
-from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.residual_tests import (
+from casid.diagnosis.evidence.residual.residual_tests import (
     DISTURBANCE,
     NOISE,
     ResidualTests,
     residual_tests,
 )
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.residual_check import tested_residual
 from casid.diagnosis.search.rounds import Search

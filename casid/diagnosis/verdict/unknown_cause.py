@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from casid.arrays import TINY
-from casid.diagnosis.search.alternatives import is_imitator
+from casid.diagnosis.search.comparison.alternatives import is_imitator
 from casid.diagnosis.thresholds import JUDGING, ROUNDS
 from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.diagnosis.verdict.not_accepted import Refused

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.diagnosis.evidence.candidate_functions import regressions
-from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.residual.candidate_functions import regressions
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import COMPARISON, JUDGING

@@ -88,7 +88,7 @@ def catalogue(
     """All effects that this model's structure and these records allow.
 
     A periodic disturbance is not among them: its frequency comes from the residual's spectrum
-    (`casid.diagnosis.evidence.spectral_peaks`).
+    (`casid.diagnosis.evidence.residual.spectral_peaks`).
 
     Parameters
     ----------

@@ -113,13 +113,13 @@ class PeriodicForces:
     cost: int = _is(
         5,
         "parameters that a sinusoid costs, the frequency three of them",
-        "tests/diagnosis/evidence/test_spectral_peaks.py",
+        "tests/diagnosis/evidence/residual/test_spectral_peaks.py",
         "Djuric 1996",
     )
     lowest: float = _is(
         0.1,
         "of its start, the lowest frequency of an estimate",
-        "tests/diagnosis/evidence/test_spectral_peaks.py",
+        "tests/diagnosis/evidence/residual/test_spectral_peaks.py",
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from casid.diagnosis.diagnosis import Diagnosis
-from casid.diagnosis.evidence.residual_tests import ResidualTests
+from casid.diagnosis.evidence.residual.residual_tests import ResidualTests
 from casid.errors import UnitError
 from casid.model.quantity_names import quantity_of
 from casid.report.document import Part, Table

@@ -20,8 +20,8 @@ from casid.diagnosis.advice.next_experiment import (
     record_length_text,
 )
 from casid.diagnosis.advice.planned_records import Planner
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
-from casid.diagnosis.evidence.score_tests import score_test
+from casid.diagnosis.evidence.scores.score_tests import score_test
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.errors import DataError
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.balance_effects import coulomb_friction, cubic_stiffness, quadratic_damping

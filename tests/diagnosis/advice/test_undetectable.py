@@ -20,7 +20,7 @@ from casid.diagnosis.advice.undetectable import (
     practical_remedy,
     undetectable_effects,
 )
-from casid.diagnosis.evidence.score_tests import score_test
+from casid.diagnosis.evidence.scores.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.estimation.estimate import Estimated

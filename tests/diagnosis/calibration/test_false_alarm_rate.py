@@ -25,7 +25,7 @@ from casid.diagnosis.calibration.false_alarm_rate import calibrate, require_runs
 from casid.diagnosis.calibration.null_records import NullRecords, Recipe, null_noise
 from casid.diagnosis.calibration.null_runs import recipe_of
 from casid.diagnosis.diagnose import diagnose
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.errors import DataError, SolveError
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.holdout import split_records

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.stats import norm
 
 import casid
-from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
+from casid.diagnosis.evidence.scores.score_tests import ScoreTable, score_test
 from casid.diagnosis.thresholds import SCORES
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit

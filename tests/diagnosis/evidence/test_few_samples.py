@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
-from casid.diagnosis.evidence.residual_tests import DETERMINISTIC, NOISE, residual_tests
-from casid.diagnosis.evidence.signatures import added_variance
+from casid.diagnosis.evidence.residual.residual_tests import DETERMINISTIC, NOISE, residual_tests
+from casid.diagnosis.evidence.residual.signatures import added_variance
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.estimation.simulation.fit import fit_model
 
 LEVEL = 0.01

@@ -11,8 +11,8 @@ from scipy.stats import binom
 
 import casid
 from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
-from casid.diagnosis.evidence.residual_tests import NOISE, residual_tests
-from casid.diagnosis.evidence.score_tests import score_test
+from casid.diagnosis.evidence.residual.residual_tests import NOISE, residual_tests
+from casid.diagnosis.evidence.scores.score_tests import score_test
 from casid.estimation.holdout import split_records
 from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping
 from casid.model.effects.channel_effects import sensor_lag, time_delay

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lsim
 
 import casid
-from casid.diagnosis.evidence.score_tests import score_test
+from casid.diagnosis.evidence.scores.score_tests import score_test
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.declarations import Parameter
 from casid.model.effects.effect import Effect

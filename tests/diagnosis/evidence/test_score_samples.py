@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import casid
-from casid.diagnosis.evidence.score_tests import score_test
+from casid.diagnosis.evidence.scores.score_tests import score_test
 from casid.model.effects.balance_effects import quadratic_damping
 from tests.support.hidden_forces import fitted
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
-from casid.diagnosis.evidence.residual_tests import NOISE, residual_tests
+from casid.diagnosis.evidence.residual.residual_tests import NOISE, residual_tests
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from tests.support import ventilated_room

@@ -7,8 +7,8 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.baseline import fit_baseline
-from casid.diagnosis.search.disturbance import disturbance_rival
-from casid.diagnosis.search.disturbance.disturbance_rival import weighed_against_disturbances
+from casid.diagnosis.search.noise_assumptions import disturbance_rival
+from casid.diagnosis.search.noise_assumptions.disturbance_rival import weighed_against_disturbances
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings

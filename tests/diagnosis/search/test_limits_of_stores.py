@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.search.adoption.refinement import Adoption, Refinement, whole_fit
 from casid.diagnosis.search.candidates import Adopted
-from casid.diagnosis.search.refinement import Adoption, Refinement, whole_fit
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model

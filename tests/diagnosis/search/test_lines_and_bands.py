@@ -10,11 +10,11 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from tests.diagnosis.search.disturbance.test_disturbance_rival import hull, record
+from tests.diagnosis.search.noise_assumptions.test_disturbance_rival import hull, record
 
 TS, N, AMPLITUDE, FREQUENCY = 2.0, 1500, 1.5e-4, 0.0113  # s, 1, m^3/s, Hz
 PARTS = 10  # steps of the simulator a sample

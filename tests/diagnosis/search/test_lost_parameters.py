@@ -11,8 +11,8 @@ import numpy as np
 from scipy.linalg import expm
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
-from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.parameter_effects import parameter_jump

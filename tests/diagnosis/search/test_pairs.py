@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.search.comparison.simulation_errors import simulation_errors
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import Selection
-from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.effect import KINDS

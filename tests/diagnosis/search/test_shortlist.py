@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 import casid
-from casid.diagnosis.evidence.score_tests import Score
+from casid.diagnosis.evidence.scores.score_tests import Score
 from casid.diagnosis.search import rounds
 from casid.diagnosis.thresholds import RESTARTS, SHORTLIST
 from casid.model.effects.channel_effects import sensor_lag

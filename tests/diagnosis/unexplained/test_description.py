@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.unexplained.description import (
     Unexplained,
     dependence_text,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.force_functions import hats, knots_of
-from casid.diagnosis.evidence.linearised_path import Linearised, Path
+from casid.diagnosis.evidence.residual.force_functions import hats, knots_of
+from casid.diagnosis.evidence.residual.linearised_path import Linearised, Path
 from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force
 from tests.support.hidden_forces import RECORDED, fitted
 

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.gain import chance_over_floor
 from casid.estimation.holdout import split_records

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.verdict.judgement import predicts_held_out
 from casid.estimation.holdout import split_records

@@ -13,7 +13,7 @@ import pytest
 
 import casid
 from casid.diagnosis.diagnosis import Cause
-from casid.diagnosis.evidence.candidate_functions import functions_of
+from casid.diagnosis.evidence.residual.candidate_functions import functions_of
 from casid.diagnosis.thresholds import COMPARISON
 from casid.diagnosis.verdict.unknown_cause import with_the_unnamed_alternative
 from casid.diagnosis.verdict.unnamed_alternatives import UnnamedAlternative

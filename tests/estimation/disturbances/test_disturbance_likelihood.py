@@ -10,7 +10,11 @@ from scipy.signal import lfilter, lsim
 
 import casid
 from casid.arrays import Array
-from casid.diagnosis.evidence.prewhitening import Weighing, minus_log_likelihood, use_samples_of
+from casid.diagnosis.evidence.whitening.prewhitening import (
+    Weighing,
+    minus_log_likelihood,
+    use_samples_of,
+)
 from casid.estimation.disturbances.disturbance_likelihood import (
     DisturbanceLikelihood,
     errors,

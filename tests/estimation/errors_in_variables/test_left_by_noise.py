@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.estimation.errors_in_variables.left_by_noise import left_by_noise, share_that_is_there
 from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.noise.variances import estimate_noise

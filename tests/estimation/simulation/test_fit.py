@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
-from casid.diagnosis.evidence.robust_errors import std_error
+from casid.diagnosis.evidence.whitening.robust_errors import std_error
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solver import Solver, descending
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.command_rates import command_rates
+from casid.diagnosis.evidence.records.command_rates import command_rates
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.simulation.rate_limits import (

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
-from casid.diagnosis.evidence.score_tests import score_test
-from casid.diagnosis.evidence.signal_sizes import sizes_of
+from casid.diagnosis.evidence.records.signal_sizes import sizes_of
+from casid.diagnosis.evidence.scores.score_tests import score_test
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.divergence import diverging_size
+from casid.diagnosis.evidence.scores.divergence import diverging_size
 from casid.errors import ModelError
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulator import Simulator

@@ -1,1 +1,1 @@
-"""Causes against a random disturbance, which may explain as much as they do."""
+"""Whether a random disturbance alone explains the misfit, and what one costs beside a cause."""

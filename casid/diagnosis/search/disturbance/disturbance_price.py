@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from casid.arrays import TINY
-from casid.diagnosis.evidence.holding_bounds import held_beyond_chance
-from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.simulation.minimization import Fit
 

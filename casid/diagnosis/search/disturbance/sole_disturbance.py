@@ -18,10 +18,10 @@ from casid.diagnosis.evidence.gain_under_disturbance import (
     gains_under_disturbance,
     unwhitened,
 )
-from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
-from casid.diagnosis.evidence.score_tests import Score, ScoreTable
-from casid.diagnosis.evidence.signal_sizes import window_of
-from casid.diagnosis.evidence.signature_columns import extended_columns
+from casid.diagnosis.evidence.records.signal_sizes import window_of
+from casid.diagnosis.evidence.scores.score_tests import Score, ScoreTable
+from casid.diagnosis.evidence.scores.signature_columns import extended_columns
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted, minus_log_likelihood
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance.disturbance_price import (
     price_of,

@@ -1,1 +1,1 @@
-"""Changes at an instant: when they set in and end, how sure that is, and what they are called."""
+"""Changes at an instant: when they set in and end, and how sure that is."""

@@ -28,9 +28,9 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.attempts import Attempts
-from casid.diagnosis.evidence.score_tests import regressed
-from casid.diagnosis.evidence.signal_sizes import window_of
-from casid.diagnosis.evidence.signature_columns import extended_columns, without
+from casid.diagnosis.evidence.records.signal_sizes import window_of
+from casid.diagnosis.evidence.scores.score_tests import regressed
+from casid.diagnosis.evidence.scores.signature_columns import extended_columns, without
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.thresholds import JUMPS
 from casid.errors import SolveError

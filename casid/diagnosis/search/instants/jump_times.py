@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.score_tests import scan, scan_pairs
-from casid.diagnosis.evidence.signal_sizes import window_of
+from casid.diagnosis.evidence.records.signal_sizes import window_of
+from casid.diagnosis.evidence.scores.score_tests import scan, scan_pairs
+from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
-from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.sensor_dynamics import MEMORY

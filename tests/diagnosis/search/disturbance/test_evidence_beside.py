@@ -8,7 +8,7 @@ import pytest
 import casid
 from analysis.diagnosis_park.cases import Case, make
 from analysis.diagnosis_park.runs import record_of, system_and_problem
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records

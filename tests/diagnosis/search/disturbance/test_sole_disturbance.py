@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence import prewhitening
 from casid.diagnosis.evidence.gain_under_disturbance import (
     gains_under_disturbance,
     unwhitened,
 )
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, minus_log_likelihood
-from casid.diagnosis.evidence.signature_columns import extended_columns
+from casid.diagnosis.evidence.scores.signature_columns import extended_columns
+from casid.diagnosis.evidence.whitening import prewhitening
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted, minus_log_likelihood
 from casid.diagnosis.search.disturbance.disturbance_price import price_of
 from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
 from casid.diagnosis.search.instants.jump_times import placed_by_tangents
@@ -31,7 +31,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.clock_effects import offset_step
 from casid.model.effects.effect import Effect
-from tests.diagnosis.search.disturbance.test_disturbance_rival import hull, record
+from tests.diagnosis.search.noise_assumptions.test_disturbance_rival import hull, record
 from tests.diagnosis.test_effects_in_time import T, slide
 from tests.diagnosis.test_effects_in_time import record as loaded
 

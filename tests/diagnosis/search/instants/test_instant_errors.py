@@ -12,11 +12,11 @@ from scipy.stats import binom
 import casid
 from casid.arrays import Array
 from casid.diagnosis.attempts import Attempts
-from casid.diagnosis.evidence.prewhitening import Weighing
-from casid.diagnosis.evidence.score_tests import scan_pairs
+from casid.diagnosis.evidence.scores.score_tests import scan_pairs
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.search.adoption.refinement import Adoption, Refinement
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.instants.instant_errors import moved_in_time, with_instant_errors
-from casid.diagnosis.search.refinement import Adoption, Refinement
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search.instants.jump_times import is_known_event, placed
-from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.parameter_effects import parameter_jump
 

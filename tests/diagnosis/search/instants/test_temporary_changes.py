@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.prewhitening import Weighing
-from casid.diagnosis.evidence.score_tests import Family, Score, ScoreTable
+from casid.diagnosis.evidence.scores.score_tests import Family, Score, ScoreTable
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search.instants import temporary_changes as temporary
 from casid.diagnosis.search.instants.jump_times import placed
 from casid.diagnosis.search.instants.temporary_changes import placed_changes, temporary_changes
-from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.estimation.holdout import split_records

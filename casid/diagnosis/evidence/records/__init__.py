@@ -1,0 +1,1 @@
+"""What the records hold: their channels and sizes, and whether they can determine an answer."""

@@ -1,0 +1,1 @@
+"""The adopted causes revised as a set: sharpened, renamed, replaced or dropped."""

@@ -1,0 +1,145 @@
+"""How a parameter changes with a signal, judged once more beside the causes found since.
+
+A parameter may fall with the size of a state or with its square, in proportion or less and less.
+Which of these it does was chosen while other causes were missing, and their misfit favours one or
+the other; the wrong one leaves a remainder that further effects then imitate. By a parabola and by
+what levels off a small change is the same: the parabola is compared here alone. So is a power of
+a recorded channel or an input, whose tangent at the mean is the line that was tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import casadi as ca
+
+from casid.diagnosis.evidence.records.signal_sizes import sizes_of
+from casid.diagnosis.evidence.whitening.prewhitening import minus_log_likelihood
+from casid.diagnosis.search.adoption.refinement import (
+    Adoption,
+    Refinement,
+    values_by_new_names,
+    whole_fit,
+)
+from casid.diagnosis.search.candidates import Candidate, extended_by, name_of
+from casid.diagnosis.search.comparison.simulation_errors import on_common_samples, simulation_errors
+from casid.diagnosis.thresholds import COMPARISON
+from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.effect import Effect
+from casid.model.effects.parameter_effects import (
+    has_powers,
+    is_scheduled_by_channel,
+    is_scheduled_by_power,
+    is_scheduled_by_state,
+    power_scheduled_parameter,
+    scheduled_parameter,
+    spread_of_input,
+    state_scheduled_parameter,
+)
+from casid.model.effects.search_ranges import SATURATIONS
+
+
+def with_better_powers(refine: Refinement, found: Adoption) -> Adoption:
+    """The causes with the powers of signals that fit and predict better beside all others."""
+    for i in range(len(found.adopted)):
+        if found.fit is None:
+            break
+        effect = found.adopted[i].candidate.effect
+        if is_scheduled_by_state(effect):
+            for other, step in _other_powers(refine, found, i):
+                found = _by_the_better(refine, found, i, other, step)
+        elif is_scheduled_by_channel(effect):
+            for other, step in _other_laws(refine, found, i):
+                found = _by_the_better(refine, found, i, other, step, least=COMPARISON.likely)
+    return found
+
+
+def _other_powers(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple[Effect, float]]:
+    """The change by other laws, each with the size that makes it as large over the motion."""
+    assert found.fit is not None
+    own = found.adopted[i].candidate
+    name, state = own.effect.where.split("~")
+    sizes, model = sizes_of(found.at, refine.search.recorded), found.at.model
+    motions = {
+        power: sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
+        for power in range(1, SATURATIONS.powers + 1)
+    }
+    constants = own.effect.constants
+    mine = motions[int(constants["power"])]
+    change = found.fit.values[own.names[0]] * (mine.high - mine.low)
+    for power, motion in motions.items():
+        for is_straight in (True, False)[:power]:
+            effect = state_scheduled_parameter(
+                refine.start.model, name, state, motion, power, is_straight=is_straight
+            )
+            is_other = any(effect.constants[n] != constants[n] for n in ("power", "straight"))
+            if is_other and motion.high > motion.low:
+                yield effect, change / (motion.high - motion.low)
+
+
+def _other_laws(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple[Effect, float]]:
+    """A power of the channel for a line, a line for a power, with the same slope at the mean."""
+    assert found.fit is not None
+    own, model = found.adopted[i].candidate, refine.start.model
+    name, channel = own.effect.where.split("~")
+    sizes = sizes_of(refine.start, refine.search.recorded)
+    if channel in model.inputs:
+        unit, spread = model.inputs[channel].unit, spread_of_input(sizes, channel)
+    else:
+        unit, spread = refine.search.recorded[channel], sizes.channels[channel]
+    if not has_powers(spread, unit):
+        return
+    values = found.fit.values
+    size, p = values[own.names[0]], values.get(name, model.parameters[name].nominal)
+    if is_scheduled_by_power(own.effect):
+        yield scheduled_parameter(model, name, channel, unit, spread), size * p / spread.mean
+    elif p != 0.0:
+        yield (
+            power_scheduled_parameter(model, name, channel, unit, spread),
+            size * spread.mean / p,
+        )
+
+
+def _by_the_better(
+    refine: Refinement, found: Adoption, i: int, effect: Effect, step: float, least: float = 0.0
+) -> Adoption:
+    """The causes with another effect in the place of one of as many parameters, if it is better.
+
+    Parameters
+    ----------
+    least : twice the logarithm of how much likelier it is at least.
+    """
+    fit = found.fit
+    assert fit is not None
+    refine.search.progress(f"compare powers of the {name_of(effect)}")
+    own = found.adopted[i].candidate
+    causes = [a.candidate for a in found.adopted]
+    causes[i] = replace(own, effect=effect, names=tuple(p.name for p in effect.parameters))
+    what = f"the comparison of powers of the {name_of(effect)}"
+    other = refine.search.attempts.attempt(what, lambda: _fitted(refine, causes, fit, i, step))
+    if other is None:
+        return found
+    placed, new = other
+    before, after = on_common_samples(
+        *(simulation_errors(f, refine.split, refine.units) for f in (fit, new))
+    )
+    if not after.square < before.square or after.held_out_square > before.held_out_square:
+        return found
+    adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
+    at = refine.search.weighing.weigh(new.criterion.model, new, rounds=1)
+    if least and not 2 * (minus_log_likelihood(found.at) - minus_log_likelihood(at)) > least:
+        return found
+    return replace(found, adopted=tuple(adopted), at=at, fit=new)
+
+
+def _fitted(
+    refine: Refinement, causes: list[Candidate], near: Fit, i: int, step: float
+) -> tuple[list[Candidate], Fit]:
+    """Causes in the model as it is, and its fit from the last one, the i-th cause from `step`."""
+    model, placed = extended_by(refine.start.model, causes)
+    others = [k for k in range(len(causes)) if k != i]
+    values = {**near.values, placed[i].names[0]: step}
+    values |= values_by_new_names([placed[k] for k in others], [causes[k] for k in others])
+    new = whole_fit(model, refine.split, refine.settings, refine.units, values)
+    return [replace(c, fit=new) for c in placed], new

@@ -1,0 +1,1 @@
+"""How candidates compare: in likelihood, in simulation error, record by record."""

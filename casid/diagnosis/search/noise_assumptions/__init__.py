@@ -1,0 +1,1 @@
+"""The search under another noise: does the answer stand beside a random disturbance, or without?"""
