@@ -46,7 +46,7 @@ def example(duration: float) -> tuple[Any, Any]:
     import numpy as np
 
     import casid
-    from casid.estimation.simulation.simulator import Simulator
+    from casid.estimation.simulation.integration.simulator import Simulator
     from casid.model.effects.balance_effects import quadratic_damping
 
     m = casid.Model("mass on a spring")

@@ -43,11 +43,15 @@ def main() -> int:
     from scipy.signal import lfilter
 
     from analysis.pendulum_study.records import PendulumRecords, low_pass
-    from casid.estimation.moments.instruments import Instruments, Loop, reference_signals
-    from casid.estimation.moments.moment_settings import MomentSettings
-    from casid.estimation.moments.parts import parts_of
-    from casid.estimation.moments.reference_filter import ReferenceFilter
-    from casid.estimation.moments.stage import Stage
+    from casid.estimation.moments.equations.parts import parts_of
+    from casid.estimation.moments.instruments.instruments import (
+        Instruments,
+        Loop,
+        reference_signals,
+    )
+    from casid.estimation.moments.instruments.reference_filter import ReferenceFilter
+    from casid.estimation.moments.stages.moment_settings import MomentSettings
+    from casid.estimation.moments.stages.stage import Stage
     from problems.pendulum import indirect_model
 
     experiments = PendulumRecords(0.3).experiments(0)[:1]

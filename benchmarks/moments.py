@@ -72,7 +72,7 @@ def through_ipopt(signals: dict[str, np.ndarray]) -> tuple[Callable[[], Any], Ca
     """Moments alone; moments and the prebuilt solve, which returns theta (3,)."""
     import casadi as ca
 
-    from casid.estimation.moments.moments import moments
+    from casid.estimation.cross_moments.moments import moments
     from casid.estimation.nlp.nlp import Nlp
     from casid.linear.lagged_columns import Column, lagged
 
@@ -166,7 +166,7 @@ def peak_megabytes() -> float:
 def streamed(samples: int) -> dict[str, Any]:
     """Moments of two generated channels behind a filter of 21 taps, a chunk at a time."""
     from casid.data.fir_filter import equiripple
-    from casid.estimation.moments.moments import Accumulator
+    from casid.estimation.cross_moments.moments import Accumulator
 
     rng = np.random.default_rng(1)
     stream = Accumulator(("y", "u"), 2, prefilter=equiripple(0.5, TS, stop_hz=6.0))
@@ -200,7 +200,7 @@ def written(path: Path, samples: int) -> None:
 
 def read(path: Path) -> dict[str, Any]:
     """Moments of a file."""
-    from casid.estimation.moments.moments import of_file
+    from casid.estimation.cross_moments.moments import of_file
 
     start = time.perf_counter()
     result = of_file(path, {"y": "y", "u": "u"}, 2)
@@ -243,7 +243,7 @@ def judge_times(result: dict[str, Any]) -> list[bool]:
     print(f"least squares, {N} samples, 3 coefficients, 1 constraint; one thread; least (median)")
     labels = {
         "bare": "11 dot products on views",
-        "moments": "casid.estimation.moments.moments.moments",
+        "moments": "casid.estimation.cross_moments.moments.moments",
         "casid": "moments and prebuilt Ipopt solve",
         "statsmodels": "statsmodels GLM.fit_constrained",
     }

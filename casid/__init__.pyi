@@ -19,16 +19,16 @@ from .diagnosis.diagnose import diagnose
 from .diagnosis.diagnosis import Diagnosis
 from .diagnosis.investigation import Investigation, investigate
 from .errors import CasidError, DataError, IdentifiabilityError, ModelError, SolveError, UnitError
+from .estimation.cross_moments.moments import Moments
 from .estimation.estimate import Estimate
 from .estimation.fitted.fitted_model import FittedModel
-from .estimation.moments.exogeneity import reference_depends_on
-from .estimation.moments.instruments import Instruments
-from .estimation.moments.moment_estimate import MomentEstimate
-from .estimation.moments.moment_settings import MomentSettings
-from .estimation.moments.moments import Moments
-from .estimation.moments.prior import Prior
-from .estimation.moments.reference_filter import ReferenceFilter
-from .estimation.moments.stage_plan import StageSpec
+from .estimation.moments.instruments.exogeneity import reference_depends_on
+from .estimation.moments.instruments.instruments import Instruments
+from .estimation.moments.instruments.reference_filter import ReferenceFilter
+from .estimation.moments.stages.moment_estimate import MomentEstimate
+from .estimation.moments.stages.moment_settings import MomentSettings
+from .estimation.moments.stages.prior import Prior
+from .estimation.moments.stages.stage_plan import StageSpec
 from .estimation.moments.validation import validate
 from .estimation.nlp.nlp import Nlp
 from .estimation.nlp.solver import Solver

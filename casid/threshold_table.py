@@ -2,7 +2,7 @@
 
 A table is a few frozen groups, one a question: `casid/diagnosis/thresholds.py`,
 `casid/model/effects/search_ranges.py`, `casid/estimation/simulation/thresholds.py`,
-`casid/estimation/errors_in_variables/thresholds.py`, `casid/estimation/intervals/thresholds.py`,
+`casid/estimation/noise/thresholds.py`, `casid/estimation/intervals/thresholds.py`,
 `casid/experiment_design/thresholds.py` and `casid/fleets/thresholds.py`.
 """
 

@@ -194,6 +194,18 @@ def between_packages() -> dict[str, set[str]]:
     return out
 
 
+def within(folder: Path) -> dict[str, set[str]]:
+    """Files and folders right inside a folder of casid -> those that each imports from."""
+    room = module(folder / "__init__.py")
+    out: dict[str, set[str]] = {}
+    for own, used in imports().items():
+        if own.startswith(f"{room}."):
+            first = own.removeprefix(f"{room}.").partition(".")[0]
+            names = {m.removeprefix(f"{room}.") for m in used if m.startswith(f"{room}.")}
+            out.setdefault(first, set()).update({n.partition(".")[0] for n in names} - {first})
+    return out
+
+
 def cycles(graph: dict[str, set[str]]) -> list[str]:
     """Strongly connected components of more than one member (Tarjan)."""
     index: dict[str, int] = {}

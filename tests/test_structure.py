@@ -42,3 +42,23 @@ def test_an_equation_of_another_module_is_in_one_that_there_is() -> None:
             r"\(\d+\)\s+(?:in|of)\s+`([\w.]+)`", path.read_text(encoding="utf-8")
         ):
             assert name.rpartition(".")[2] in modules, f"{path.name}: {name}"
+
+
+FOLDERS = sorted(path.parent for path in CASID.rglob("__init__.py"))
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda p: str(p.relative_to(CASID)))
+def test_files_and_folders_of_a_folder_import_one_way(folder: Path) -> None:
+    """A folder counts as one: what it holds is used by its neighbours, or uses them, not both."""
+    assert structure.cycles(structure.within(folder)) == []
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda p: str(p.relative_to(CASID)))
+def test_a_folder_lists_its_folders_in_the_order_of_their_imports(folder: Path) -> None:
+    """Where its docstring lists them, as "- `name`: what it is"."""
+    listed = re.findall(r"^- `(\w+)`: ", (folder / "__init__.py").read_text("utf-8"), re.M)
+    folders = {path.parent.name for path in folder.glob("*/__init__.py")}
+    assert not listed or set(listed) == folders
+    graph = structure.within(folder)
+    for k, name in enumerate(listed):
+        assert graph[name] & set(listed) <= set(listed[:k]), name

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from casid.diagnosis import thresholds
-from casid.estimation.errors_in_variables import thresholds as input_noise_thresholds
 from casid.estimation.intervals import thresholds as interval_thresholds
+from casid.estimation.noise import thresholds as input_noise_thresholds
 from casid.estimation.simulation import thresholds as simulation_thresholds
 from casid.experiment_design import thresholds as design_thresholds
 from casid.fleets import thresholds as fleet_thresholds

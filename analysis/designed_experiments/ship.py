@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 import casid
 from analysis.common.case_file import Row
 from casid.arrays import Array
-from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.simulation.integration.simulator import Simulator
 from problems import ship_4dof
 from problems.ship_simulator.manoeuvring import manoeuvring_model
 

@@ -40,7 +40,7 @@ from casid.diagnosis.thresholds import PLANNING
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.balance_effects import (
     cubic_stiffness,

@@ -34,7 +34,7 @@ from casid.estimation.covariance import autocorrelation
 from casid.estimation.equation_error import equation_error
 from casid.estimation.estimate import Estimate
 from casid.estimation.measured_motion import Butterworth
-from casid.estimation.moments.exogeneity import reference_depends_on
+from casid.estimation.moments.instruments.exogeneity import reference_depends_on
 from casid.estimation.prediction_error.coordinated_turn import Track, rounding_error
 from casid.model.declarations import Input
 from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping

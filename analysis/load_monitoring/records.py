@@ -19,15 +19,15 @@ import numpy as np
 
 import casid
 from casid.arrays import Array
-from casid.estimation.moments.gram import Moments
-from casid.estimation.moments.moment_equations import MomentEquations
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.moments import moments
-from casid.estimation.moments.parts import Part
-from casid.estimation.moments.prior import Prior
-from casid.estimation.moments.propagation import propagate
-from casid.estimation.moments.stage import Stage
-from casid.estimation.moments.windowed_moments import Simulated, WindowedMoments, on_simulated
+from casid.estimation.cross_moments.gram import Moments
+from casid.estimation.cross_moments.moments import moments
+from casid.estimation.cross_moments.windowed_moments import Simulated, WindowedMoments, on_simulated
+from casid.estimation.moments.equations.moment_equations import MomentEquations
+from casid.estimation.moments.equations.parts import Part
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.prior import Prior
+from casid.estimation.moments.stages.propagation import propagate
+from casid.estimation.moments.stages.stage import Stage
 from casid.estimation.prediction_error.polynomial.estimation import oe
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column

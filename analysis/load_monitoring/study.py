@@ -31,8 +31,8 @@ from analysis.common.runner import Run, Study, sections
 from analysis.common.targets import Target, at_most
 from analysis.load_monitoring.records import ABOARD, PERIOD, TS, Calibration, calibrate, instruments
 from casid.arrays import Array
+from casid.estimation.cross_moments.gram import Moments
 from casid.estimation.moments.change_detection import ChangeDetector
-from casid.estimation.moments.gram import Moments
 from casid.identification.monitor_status import Derived, MonitorSettings, Status
 from casid.identification.parameter_monitor import Monitor
 from casid.identification.window_estimator import MonitoredParameters

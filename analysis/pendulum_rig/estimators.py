@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.prior import Prior
-from casid.estimation.moments.propagation import jacobian_of
-from casid.estimation.moments.stage_plan import StageSpec
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.prior import Prior
+from casid.estimation.moments.stages.propagation import jacobian_of
+from casid.estimation.moments.stages.stage_plan import StageSpec
 from casid.identification.moment_estimators import Reusable
 from problems import pendulum_rig as rig
 

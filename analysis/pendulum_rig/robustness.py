@@ -16,7 +16,7 @@ from analysis.common.output import Output
 from analysis.common.targets import Target, at_most, near
 from analysis.pendulum_rig.estimators import FREE, INSTRUMENTS, MODEL, STEPS, TRUTH, staged
 from analysis.pendulum_rig.records import AMPLITUDE, Draws
-from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.estimation.moments.validation import validate
 from casid.identification.moment_estimators import multistage
 from problems import pendulum_rig as rig

@@ -18,7 +18,7 @@ import numpy as np
 from analysis.pendulum_rig.estimators import FREE, TILTED, TRUTH, joint, staged
 from analysis.pendulum_rig.records import Draws
 from casid.campaigns.campaign import Campaign
-from casid.estimation.moments.prior import Prior
+from casid.estimation.moments.stages.prior import Prior
 from casid.identification.moment_estimators import Reusable
 
 

@@ -52,8 +52,8 @@ from analysis.pendulum_rig.runs import RigRun, coverages, largest_disagreement, 
 from analysis.pendulum_rig.tables import PUBLISHED, PUBLISHED_FITS, PUBLISHED_VALUES
 from casid.campaigns.campaign import campaign
 from casid.data.experiment import Experiment
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.estimation.moments.validation import validate
 from casid.identification.moment_estimators import multistage
 from problems import pendulum_rig as rig

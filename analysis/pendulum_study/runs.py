@@ -24,15 +24,15 @@ import numpy as np
 
 from analysis.pendulum_study.records import INSTRUMENT_LAG, PendulumRecords
 from casid.arrays import Array
-from casid.estimation.moments.column_products import column_products
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_covariance import moment_covariance
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.parts import Part, parts_of
-from casid.estimation.moments.propagation import Propagated, propagate
-from casid.estimation.moments.reference_filter import ReferenceFilter
-from casid.estimation.moments.stage import Stage, StageFit
-from casid.estimation.moments.stage_plan import StageSpec
+from casid.estimation.cross_moments.column_products import column_products
+from casid.estimation.moments.equations.moment_covariance import moment_covariance
+from casid.estimation.moments.equations.parts import Part, parts_of
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.instruments.reference_filter import ReferenceFilter
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.propagation import Propagated, propagate
+from casid.estimation.moments.stages.stage import Stage, StageFit
+from casid.estimation.moments.stages.stage_plan import StageSpec
 from casid.identification.moment_estimators import Reusable
 from casid.identification.profile_interval import profile
 from problems.pendulum import TABLE_7_2, indirect_model

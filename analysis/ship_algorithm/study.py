@@ -41,8 +41,8 @@ from analysis.ship_algorithm.records import (
     ship_experiments,
 )
 from casid.errors import CasidError, IdentifiabilityError
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.estimation.nlp.solver import Solver
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.family_estimate import AlongFamily, along_family

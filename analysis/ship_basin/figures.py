@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.common.figures import Chart
 from analysis.ship_basin.runs import LOAD, Found
-from casid.estimation.moments.convergence import Convergence
+from casid.estimation.moments.stages.convergence import Convergence
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73")
 AXES = {"m": "weight m [kg]", "zbar_m": "height zbar_m [m]"}

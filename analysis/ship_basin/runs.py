@@ -19,10 +19,13 @@ from analysis.ship_basin.records import CASES, Basin, basin, experiments_of, hal
 from casid.arrays import Array
 from casid.campaigns.campaign import Campaign, campaign
 from casid.errors import CasidError
-from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
-from casid.estimation.moments.convergence import Convergence
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.stage_plan import StageSpec
+from casid.estimation.moments.instruments.black_box_reference import (
+    black_box_instruments,
+    black_box_references,
+)
+from casid.estimation.moments.stages.convergence import Convergence
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.stage_plan import StageSpec
 from casid.identification.moment_estimators import Reusable
 
 if TYPE_CHECKING:

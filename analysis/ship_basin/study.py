@@ -54,8 +54,8 @@ from analysis.ship_basin.runs import (
     How,
     estimated,
 )
-from casid.estimation.moments.convergence import Convergence
-from casid.estimation.moments.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.convergence import Convergence
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
 from problems.ship import TABLE_8_2
 
 LIGHTER = (0.4, 0.2, 0.1, 0.05)

@@ -19,7 +19,7 @@ import numpy as np
 import casid
 from analysis.ship_basin_turns.records import Sailed, changes, near_changes
 from casid.arrays import Array
-from casid.estimation.moments.parts import Part, parts_of
+from casid.estimation.moments.equations.parts import Part, parts_of
 from casid.model.model import Model
 
 AFTER, BEFORE = 0.8, 0.2

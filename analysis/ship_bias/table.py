@@ -17,10 +17,13 @@ from analysis.ship_algorithm.records import TS
 from analysis.ship_bias.records import IMPERFECTIONS, Imperfection, Rudder, answers, regressors
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, SolveError
-from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.stage_plan import StageSpec
+from casid.estimation.moments.instruments.black_box_reference import (
+    black_box_instruments,
+    black_box_references,
+)
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.stage_plan import StageSpec
 from casid.identification.moment_estimators import Reusable, instrumental_variables
 from problems import ship
 from problems.ship import TABLE_8_2

@@ -34,9 +34,9 @@ import numpy as np
 from analysis.identifiability_tables.models import ship_family
 from analysis.ship_initial_values.records import TS, Integrator, instruments, of_case, record
 from casid.arrays import Array
-from casid.estimation.moments.moment_equations import MomentEquations
-from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
-from casid.estimation.moments.moments import moments
+from casid.estimation.cross_moments.moments import moments
+from casid.estimation.moments.equations.moment_equations import MomentEquations
+from casid.estimation.moments.equations.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver
 from casid.linear.difference_equation import DifferenceEquation, difference_equation

@@ -30,12 +30,12 @@ from analysis.common.output import Output
 from analysis.common.runner import Run, Study
 from analysis.common.targets import Target
 from analysis.pendulum_study.records import INSTRUMENT_LAG, TS, PendulumRecords
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_nlp import Condensed, LinearNlp, PhysicalNlp
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.reference_filter import ReferenceFilter
-from casid.estimation.moments.stage import StageFit
-from casid.estimation.moments.stage_plan import StageSpec
+from casid.estimation.moments.equations.moment_nlp import Condensed, LinearNlp, PhysicalNlp
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.instruments.reference_filter import ReferenceFilter
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.stage import StageFit
+from casid.estimation.moments.stages.stage_plan import StageSpec
 from casid.estimation.nlp.comparison_table import SolverComparison
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solver_comparison import compare_solvers

@@ -274,7 +274,7 @@ class Study:
         if len(done.failures) == done.runs:
             message, n = failures.most_common(1)[0]
             raise SolveError(f"all {done.runs} runs failed, {n} of them with: {message}")
-        from casid.estimation.simulation.simulation_estimate import SOURCES
+        from casid.estimation.simulation_estimate import SOURCES
         from casid.versions import versions
 
         return MonteCarlo(

@@ -121,9 +121,9 @@ class InstrumentRequest:
 
     def estimate(self, problem: Problem, fitted: Sequence[Experiment], solver: str) -> Any:
         """Joint instrumental variables on all records: a `casid.MomentEstimate`."""
-        from casid.estimation.moments.instruments import Instruments
-        from casid.estimation.moments.moment_settings import MomentSettings
-        from casid.estimation.moments.reference_filter import ReferenceFilter
+        from casid.estimation.moments.instruments.instruments import Instruments
+        from casid.estimation.moments.instruments.reference_filter import ReferenceFilter
+        from casid.estimation.moments.stages.moment_settings import MomentSettings
         from casid.estimation.nlp.solver import Solver
         from casid.identification.moment_estimators import instrumental_variables
 

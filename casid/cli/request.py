@@ -269,9 +269,9 @@ def read_experiment(
     """
     import numpy as np
 
-    from casid.data.reading.clocks.several_clocks import on_one_clock
     from casid.data.reading.columns import resolve
     from casid.data.reading.opening import open_table
+    from casid.data.reading.several_clocks import on_one_clock
     from casid.diagnosis.evidence.records.recorded_channels import (
         left_out_by_clock,
         refuse_shared_columns,

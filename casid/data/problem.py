@@ -15,12 +15,12 @@ from casid.data.derived import Derived, derive
 from casid.data.experiment import Experiment
 from casid.data.external_signals import external_signals
 from casid.data.problem_module import importing, problem_file
-from casid.data.reading.clocks.several_clocks import on_one_clock
 from casid.data.reading.columns import ColumnSpec, as_headed, resolve
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.frames import open_frame
 from casid.data.reading.opening import open_table
 from casid.data.reading.record_file import record_of
+from casid.data.reading.several_clocks import on_one_clock
 from casid.data.reading.sources import source_of
 from casid.data.reading.survey import ReadingOptions
 from casid.data.reading.tables import Table

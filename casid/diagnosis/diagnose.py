@@ -37,7 +37,7 @@ from casid.estimation.estimate import Origin
 from casid.estimation.holdout import Split, split_records
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
-from casid.estimation.simulation.input_gaps import with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import with_gaps_treated
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.problem_notes import problem_notes
 from casid.model.rate_laws import with_balances

@@ -37,7 +37,7 @@ from casid.estimation.estimate import (
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of
 from casid.estimation.fitted.from_fit import unsimulated_model
 from casid.estimation.measured_motion import Butterworth, decimated, filter_edge, motion_of
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.records.signals import signals_of
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
 

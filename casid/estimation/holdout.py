@@ -17,7 +17,7 @@ from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.estimate import RecordView
 from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import Signals, signals_of, window_cuts
+from casid.estimation.simulation.records.signals import Signals, signals_of, window_cuts
 from casid.model.model import Model
 from casid.model.quantities import growth_text, percent_text
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import DataError
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 from casid.model.model import Model
 
 

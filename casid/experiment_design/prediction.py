@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.simulation.integration.simulator import Simulator
 from casid.experiment_design.hypotheses import Comparison, Hypothesis
 from casid.experiment_design.limits import signal_function
 from casid.experiment_design.setup import Setup

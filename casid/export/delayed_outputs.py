@@ -15,7 +15,7 @@ from typing import Any
 
 import casadi as ca
 
-from casid.estimation.simulation.sensor_dynamics import delay_weights
+from casid.estimation.simulation.channels.sensor_dynamics import delay_weights
 
 Expr = Any  # a CasADi SX expression
 

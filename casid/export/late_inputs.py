@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casid.estimation.simulation.sample_lines import delayed_lines
+from casid.estimation.simulation.channels.sample_lines import delayed_lines
 from casid.model.declarations import Hold
 
 Expr = Any  # a CasADi SX expression

@@ -18,8 +18,12 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.estimation.simulation.known_rest import KnownRest, rest_before
-from casid.estimation.simulation.simulator import band_limited, rk4_sample, stepping_outputs
+from casid.estimation.simulation.channels.known_rest import KnownRest, rest_before
+from casid.estimation.simulation.integration.simulator import (
+    band_limited,
+    rk4_sample,
+    stepping_outputs,
+)
 from casid.export.delayed_outputs import SampledDelay, sampled_delays
 from casid.export.late_inputs import DeadTime, sampled_dead_times
 from casid.model.clock_signals import ClockSignal

@@ -29,10 +29,7 @@ from casid.arrays import TINY, Array
 from casid.data.arguments import in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.diagnosis.evidence.gain_under_disturbance import (
-    gains_under_disturbance,
-    unwhitened,
-)
+from casid.diagnosis.evidence.gain_under_disturbance import gains_under_disturbance, unwhitened
 from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
 from casid.diagnosis.evidence.records.recorded_channels import varying_channels, with_unused_columns
 from casid.diagnosis.evidence.records.signal_sizes import sizes_of
@@ -40,11 +37,7 @@ from casid.diagnosis.evidence.records.sufficiency import fewest_samples, why_uni
 from casid.diagnosis.evidence.residual.spectral_peaks import find_peaks
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable, scores_of, step_without_bias
 from casid.diagnosis.evidence.scores.signature_columns import Columns, extended_columns
-from casid.diagnosis.evidence.whitening.prewhitening import (
-    Weighing,
-    Weighted,
-    not_below,
-)
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted, not_below
 from casid.diagnosis.thresholds import PEAKS
 from casid.errors import CasidError, DataError
 from casid.estimation.disturbances.disturbance_likelihood import errors
@@ -52,8 +45,8 @@ from casid.estimation.holdout import split_records
 from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.initial_state import with_states_anew
-from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.records.input_gaps import with_gaps_treated
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.fleets.thresholds import SCREENING
 from casid.model.effects.catalogue import catalogue

@@ -14,8 +14,8 @@ import numpy as np
 from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import SolveError
-from casid.estimation.moments.long_run_covariance import memory
-from casid.estimation.moments.moment_estimate import MomentEstimate
+from casid.estimation.moments.equations.long_run_covariance import memory
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
 from casid.model.units import from_si
 
 

@@ -34,7 +34,7 @@ from casid.estimation.prediction_error.extended_likelihood import (
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.estimation.simulation.fit import FitSettings, fit_model, one_over_errors
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import Signals, signals_of
+from casid.estimation.simulation.records.signals import Signals, signals_of
 from casid.identification.grey_box import (
     Criterion,
     Prediction,

@@ -16,8 +16,8 @@ from casid.estimation.covariance import LAGS_OUTSIDE, sandwich, whiteness
 from casid.estimation.estimate import Agreement, Estimate, RecordView
 from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.estimation.fitted.free_simulation import simulated_views
 from casid.estimation.fitted.from_fit import channels_of
+from casid.estimation.free_simulation import simulated_views
 from casid.estimation.holdout import Split
 from casid.estimation.intervals.choice import Estimation, by_mask, undetermined_in
 from casid.estimation.nlp.solution import not_converged

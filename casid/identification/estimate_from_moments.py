@@ -14,15 +14,15 @@ import numpy as np
 
 from casid.data.problem import Problem
 from casid.errors import DataError, ModelError
-from casid.estimation.moments.moment_equations import MomentEquations
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.moments import Moments
-from casid.estimation.moments.parts import Part
-from casid.estimation.moments.prior import Prior
-from casid.estimation.moments.stage import Stage
-from casid.estimation.moments.stage_estimate import moment_estimate
-from casid.estimation.moments.staged_estimation import with_prior
+from casid.estimation.cross_moments.moments import Moments
+from casid.estimation.moments.equations.moment_equations import MomentEquations
+from casid.estimation.moments.equations.parts import Part
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.prior import Prior
+from casid.estimation.moments.stages.stage import Stage
+from casid.estimation.moments.stages.stage_estimate import moment_estimate
+from casid.estimation.moments.stages.staged_estimation import with_prior
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model

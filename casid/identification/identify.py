@@ -17,7 +17,7 @@ from casid.estimation.intervals.choice import require_intervals
 from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings
-from casid.estimation.simulation.input_gaps import with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import with_gaps_treated
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.disturbed import identify_disturbed, identify_unstable
 from casid.identification.simulated import identify_simulated

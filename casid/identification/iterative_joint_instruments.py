@@ -4,7 +4,7 @@ Step A: black-box models from the reference to every recorded channel give the f
 Step B, repeated: estimate all records jointly within bounds, fit an ARMA model to each record's
 equation error, prefilter with its inverse, simulate the loop with the new estimate from the
 reference and the black-box inputs, (8.85)-(8.86), for new instruments. Step C stops it, (8.93).
-Step A is `black_box_reference`, steps B and C are `casid.estimation.moments.stage`.
+Step A is `black_box_reference`, steps B and C are `casid.estimation.moments.stages.stage`.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from typing import Literal
 
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.estimation.moments.black_box_reference import (
+from casid.estimation.moments.instruments.black_box_reference import (
     BlackBoxReferences,
     black_box_instruments,
     black_box_references,
 )
-from casid.estimation.moments.convergence import Convergence
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.prior import Prior
-from casid.estimation.moments.reference_filter import Filter
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.instruments.reference_filter import Filter
+from casid.estimation.moments.stages.convergence import Convergence
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.prior import Prior
 from casid.identification.moment_estimators import instrumental_variables
 from casid.model.model import Model
 from casid.presentation import Presented

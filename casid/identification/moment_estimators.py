@@ -16,12 +16,12 @@ from casid.argument_types import names_wrong_types
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import ModelError
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.prior import Prior
-from casid.estimation.moments.stage_plan import StageSpec
-from casid.estimation.moments.staged_estimation import Programs, StagedEstimation
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.prior import Prior
+from casid.estimation.moments.stages.stage_plan import StageSpec
+from casid.estimation.moments.stages.staged_estimation import Programs, StagedEstimation
 from casid.identifiability.requirement import require_identifiable
 from casid.model.model import Model
 

@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.estimation.cross_moments.gram import Moments
+from casid.estimation.cross_moments.windowed_moments import FadingSums, SlidingSums
 from casid.estimation.moments.change_detection import Change, ChangeDetector
-from casid.estimation.moments.gram import Moments
-from casid.estimation.moments.windowed_moments import FadingSums, SlidingSums
 from casid.identification.monitor_status import Alarm, Derived, Interval, MonitorSettings, Status
 from casid.identification.window_estimator import MonitoredParameters, WindowEstimator
 from casid.linear.lagged_columns import Column

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.estimation.errors_in_variables.thresholds import STATED_NOISE
 from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.noise.noise_floor import floor_error
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.noise.thresholds import STATED_NOISE
+from casid.estimation.simulation.records.signals import signals_of
 from casid.identification.inertia_sides import note_on_sides
 from casid.model.quantities import quantity_text
 

@@ -15,15 +15,15 @@ import numpy as np
 from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.estimation.moments.moment_covariance import (
+from casid.estimation.moments.equations.moment_covariance import (
     are_short,
     combined_covariance,
     moment_covariance,
 )
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
-from casid.estimation.moments.propagation import free_slope
-from casid.estimation.moments.stage import StageFit
+from casid.estimation.moments.equations.moment_nlp import Condensed, PhysicalNlp
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.propagation import free_slope
+from casid.estimation.moments.stages.stage import StageFit
 from casid.model.units import from_si
 from casid.presentation import Viewed, present
 

@@ -20,9 +20,9 @@ from casid.data.problem import Problem
 from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.covariance import sandwich
 from casid.estimation.errors_in_variables.removal import Corrected
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.estimation.prediction_error.disturbances import rest_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.moment_estimators import instrumental_variables

@@ -30,11 +30,14 @@ from casid.arrays import TINY
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import CasidError
-from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.parts import parts_of
-from casid.estimation.moments.stage import Stage
+from casid.estimation.moments.equations.parts import parts_of
+from casid.estimation.moments.instruments.black_box_reference import (
+    black_box_instruments,
+    black_box_references,
+)
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.stage import Stage
 from casid.identification.channel_signs import negated, sign_correction
 from casid.identification.moment_estimators import least_squares
 from casid.model.model import Model

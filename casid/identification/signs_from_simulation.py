@@ -295,7 +295,7 @@ def _references(problem: Problem, experiments: Sequence[Experiment]) -> list[str
 
 
 def _depends(record: Record, reference: str, outputs: Sequence[str]) -> bool:
-    from casid.estimation.moments.exogeneity import reference_depends_on
+    from casid.estimation.moments.instruments.exogeneity import reference_depends_on
 
     try:
         return reference_depends_on(record, reference, outputs, draws=199).depends

@@ -18,14 +18,10 @@ from casid.estimation.errors_in_variables.removal import (
 from casid.estimation.estimate import Estimate, Trust
 from casid.estimation.holdout import Split, record_views, validation, window_length
 from casid.estimation.intervals.choice import Estimation, by_mask, undetermined_in
+from casid.estimation.noise.input_feedback import feedback_notes
 from casid.estimation.simulation.fit import fit_model, weighted_by_errors
-from casid.estimation.simulation.input_feedback import feedback_notes
 from casid.estimation.simulation.minimization import Fit, require_minimum, whitened
-from casid.estimation.simulation.simulation_estimate import (
-    channel_notes,
-    estimate_of,
-    method_of,
-)
+from casid.estimation.simulation_estimate import channel_notes, estimate_of, method_of
 from casid.identification.approach import approach
 from casid.identification.problem_notes import problem_notes
 from casid.identification.reference_instruments import instrumented

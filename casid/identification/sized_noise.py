@@ -14,9 +14,13 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment, NoiseSizes
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
-from casid.estimation.simulation.growing_noise import Readings, growing_level, size_of_readings
+from casid.estimation.simulation.input_noise.growing_noise import (
+    Readings,
+    growing_level,
+    size_of_readings,
+)
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 
 
 def with_noise_sizes(

@@ -27,8 +27,8 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
-from casid.estimation.moments.gram import Moments
-from casid.estimation.moments.prior import Prior
+from casid.estimation.cross_moments.gram import Moments
+from casid.estimation.moments.stages.prior import Prior
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model

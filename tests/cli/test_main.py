@@ -591,8 +591,8 @@ def pendulum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 def test_identify_by_instruments_is_the_call_of_the_library(pendulum: list[Any]) -> None:
     """Files with 17 digits hold the same numbers, and the same numbers give the same estimate."""
-    from casid.estimation.moments.instruments import Instruments
-    from casid.estimation.moments.reference_filter import ReferenceFilter
+    from casid.estimation.moments.instruments.instruments import Instruments
+    from casid.estimation.moments.instruments.reference_filter import ReferenceFilter
     from casid.identification.moment_estimators import instrumental_variables
     from problems.pendulum import indirect_model
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import graphlib
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -64,34 +62,3 @@ def test_the_table_goes_from_low_to_high_and_names_every_floor():
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOM)))
 def test_no_file_imports_from_a_floor_above(path):
     assert set(imported(path)) <= allowed()[floor_of(path)]
-
-
-def graph_within(part: str) -> dict[str, set[str]]:
-    """Files and folders right inside a part of the diagnosis -> those that each imports from."""
-    graph: dict[str, set[str]] = {}
-    for path in (ROOM / part).rglob("*.py"):
-        place = path.relative_to(ROOM / part)
-        if place.name == "__init__.py":
-            continue
-        own = place.parts[0].removesuffix(".py")
-        used = graph.setdefault(own, set())
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom):
-                _, _, inside = (node.module or "").partition(f"casid.diagnosis.{part}.")
-                used |= {inside.partition(".")[0]} - {own, ""}
-    return graph
-
-
-@pytest.mark.parametrize("part", ["evidence", "search"])
-def test_files_and_folders_of_a_part_import_one_way(part):
-    assert list(graphlib.TopologicalSorter(graph_within(part)).static_order())  # or CycleError
-
-
-@pytest.mark.parametrize("part", ["evidence", "search"])
-def test_folders_of_a_part_are_listed_in_the_order_of_their_imports(part):
-    graph = graph_within(part)
-    text = (ROOM / part / "__init__.py").read_text(encoding="utf-8")
-    listed = re.findall(r"^- `(\w+)`", text, re.MULTILINE)
-    assert set(listed) == {name for name in graph if (ROOM / part / name).is_dir()}
-    for k, name in enumerate(listed):
-        assert graph[name] & set(listed) <= set(listed[:k]), name

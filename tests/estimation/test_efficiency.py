@@ -10,8 +10,8 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.estimation.nlp.nlp import Nlp
 from casid.identification.moment_estimators import instrumental_variables
 from problems.pendulum import TABLE_7_2, indirect_model

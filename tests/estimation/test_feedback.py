@@ -7,7 +7,7 @@ import pytest
 
 import casid
 from casid.estimation.feedback import not_felt_yet, one_sample_late, slope
-from casid.estimation.simulation.input_feedback import follows
+from casid.estimation.noise.input_feedback import follows
 
 TS = 0.01
 

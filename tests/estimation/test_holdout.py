@@ -19,8 +19,8 @@ from casid.estimation.holdout import (
     why_no_better,
 )
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.input_gaps import with_gaps_treated
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.records.input_gaps import with_gaps_treated
+from casid.estimation.simulation.records.signals import signals_of
 from casid.model.effects.parameter_effects import parameter_jump
 from tests.support.fitted_models import driven_mass
 

@@ -8,7 +8,7 @@ import pytest
 
 import casid
 from casid import Aim
-from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.simulation.integration.simulator import Simulator
 from casid.experiment_design.information import Target, scores
 
 

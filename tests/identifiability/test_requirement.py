@@ -8,7 +8,7 @@ import pytest
 
 import casid
 from casid.errors import IdentifiabilityError
-from casid.estimation.moments.stage import Stage
+from casid.estimation.moments.stages.stage import Stage
 from casid.identifiability import requirement
 from casid.identifiability.combinations import family
 from casid.identifiability.requirement import require_identifiable

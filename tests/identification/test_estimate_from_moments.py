@@ -7,8 +7,8 @@ import pytest
 
 import casid
 from analysis.pendulum_study.records import PendulumRecords
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.moments import Moments, moments, of_record
+from casid.estimation.cross_moments.moments import Moments, moments, of_record
+from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.identification.estimate_from_moments import estimate_from_moments
 from casid.identification.moment_estimators import least_squares
 from casid.linear.lagged_columns import lagged

@@ -14,12 +14,12 @@ import pytest
 
 import casid
 from analysis.pendulum_study.records import PendulumRecords
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.prior import Prior
-from casid.estimation.moments.reference_filter import ReferenceFilter
-from casid.estimation.moments.reference_filter_estimate import estimate_reference_filter
-from casid.estimation.moments.stage_plan import StageSpec
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.instruments.reference_filter import ReferenceFilter
+from casid.estimation.moments.instruments.reference_filter_estimate import estimate_reference_filter
+from casid.estimation.moments.stages.moment_settings import MomentSettings
+from casid.estimation.moments.stages.prior import Prior
+from casid.estimation.moments.stages.stage_plan import StageSpec
 from casid.estimation.moments.validation import validate
 from casid.identification.bootstrap import bootstrap
 from casid.identification.moment_estimators import (

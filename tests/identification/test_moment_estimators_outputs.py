@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.robust_weights import huber
+from casid.estimation.moments.equations.robust_weights import huber
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.identification.moment_estimators import instrumental_variables
 
 TS = 0.05

@@ -11,10 +11,8 @@ from scipy.stats import binom
 
 import casid
 from casid.errors import DataError, IdentifiabilityError, ModelError
-from casid.estimation.moments.change_detection import ChangeDetector
-from casid.estimation.moments.moments import Moments, moments
-from casid.estimation.moments.prior import Prior
-from casid.estimation.moments.windowed_moments import (
+from casid.estimation.cross_moments.moments import Moments, moments
+from casid.estimation.cross_moments.windowed_moments import (
     FadingSums,
     Simulated,
     SlidingSums,
@@ -22,6 +20,8 @@ from casid.estimation.moments.windowed_moments import (
     faded,
     on_simulated,
 )
+from casid.estimation.moments.change_detection import ChangeDetector
+from casid.estimation.moments.stages.prior import Prior
 from casid.identification.monitor_status import Derived, MonitorSettings
 from casid.identification.parameter_monitor import Monitor
 from casid.identification.window_estimator import MonitoredParameters

@@ -18,8 +18,8 @@ from casid.estimation.local_rank import LocalRank, describe_null
 from casid.estimation.simulation import fit
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.instability import segments_for, window_for
-from casid.estimation.simulation.measured_states import measured_states, output_equations
 from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.records.measured_states import measured_states, output_equations
 from casid.estimation.simulation.simulation_error import SimulationError
 
 MASS, K, G, TS, NOISE = 0.05, 2.5e-5, 9.81, 0.002, 5e-6

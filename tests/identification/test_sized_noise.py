@@ -11,7 +11,7 @@ import casid
 from casid.estimation.holdout import Split, split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.sized_noise import with_noise_sizes
 

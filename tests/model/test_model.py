@@ -200,7 +200,7 @@ def test_only_an_unknown_input_is_eliminated():
 def test_an_unknown_input_left_in_a_model_is_refused_before_estimating():
     from casid.data.experiment import Experiment
     from casid.data.record import Record
-    from casid.estimation.simulation.signals import signals_of
+    from casid.estimation.simulation.records.signals import signals_of
 
     m = Model("mass in the wind")
     v, w = m.state("v", "m/s"), m.unknown_input("w", "N")

@@ -159,7 +159,7 @@ def test_the_simulated_pendulum_obeys_its_model():
     What is left is the straight line between samples of an acceleration with kinks, of order
     Ts^2: 9e-5 rad/s, a hundredth of the noise that the example carries.
     """
-    from casid.estimation.simulation.simulator import Simulator
+    from casid.estimation.simulation.integration.simulator import Simulator
 
     record = pendulum.simulate(noise=0.0, duration=20.0)
     model = pendulum.problem.model.with_known(k=K, d=D, I_x=I_X)

@@ -11,13 +11,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.estimation.fitted.parts import (
-    AddedCause,
-    Channels,
-    FittedRecord,
-    SimulationSettings,
-)
-from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.fitted.parts import AddedCause, Channels, FittedRecord, SimulationSettings
+from casid.estimation.simulation.integration.simulator import Simulator
 from casid.model.effects.balance_effects import (
     coulomb_friction,
     cubic_stiffness,

@@ -8,9 +8,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from casid.data.reading.formats.text_source import COMMENT
 from casid.data.reading.header_units import looks_like_unit
 from casid.data.reading.number_marks import is_number
+from casid.data.reading.text_source import COMMENT
 
 SEPARATORS = (";", "\t", "|", ",", " ")
 NO_VALUE = frozenset(

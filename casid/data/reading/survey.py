@@ -21,7 +21,6 @@ from casid.data.reading.clocks.even_clock import (
     window_rows,
 )
 from casid.data.reading.clocks.resampling import resampled
-from casid.data.reading.clocks.several_clocks import UnitedTable, on_one_clock, united_rows
 from casid.data.reading.clocks.unit_of_time import assumed_seconds
 from casid.data.reading.column_survey import column_surveys
 from casid.data.reading.columns import (
@@ -36,6 +35,7 @@ from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.header_units import header_unit
 from casid.data.reading.opening import open_table
+from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_rows
 from casid.data.reading.sources import sha256, source_of
 from casid.data.reading.tables import Table
 from casid.data.record import Record

@@ -21,7 +21,7 @@ from casid.data.record import Record
 from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError
-from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.simulation.integration.simulator import Simulator
 from casid.model.model import Model
 
 

@@ -15,7 +15,7 @@ from casid.estimation.errors_in_variables.error_bars import error_bars
 from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.estimate import Estimate
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.simulation_estimate import ErrorBars
+from casid.estimation.simulation_estimate import ErrorBars
 
 ROUNDED = (
     "; how sharply dry friction, or a constant voltage, reverses is included as far as it is not "

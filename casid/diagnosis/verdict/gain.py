@@ -21,9 +21,9 @@ from casid.diagnosis.thresholds import FUNCTIONS, JUDGING, RESIDUAL
 from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
+from casid.estimation.simulation.channels.sensor_dynamics import due_to_earlier_inputs
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.sensor_dynamics import due_to_earlier_inputs
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.records.signals import signals_of
 from casid.identification.signs_from_simulation import WrongSign
 
 

@@ -55,10 +55,7 @@ from casid.estimation.fit_statistics import poor_fit_text, poor_outputs
 from casid.estimation.holdout import validation
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.record_agreement import disagreements
-from casid.estimation.simulation.simulation_estimate import (
-    channel_notes,
-    estimate_of,
-)
+from casid.estimation.simulation_estimate import channel_notes, estimate_of
 from casid.model.model import Model
 
 

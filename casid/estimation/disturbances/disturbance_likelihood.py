@@ -25,7 +25,7 @@ from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.source_spectra import SourceSpectra
 from casid.estimation.noise.variances import known_sources, with_rounding
 from casid.estimation.noise.whittle_scoring import At, impossible, minimum, of_spectra
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 
 

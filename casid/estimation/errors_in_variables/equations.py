@@ -38,10 +38,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from casid.arrays import TINY, Array, BoolArray
-from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.noise.filled_noise import noise_spectrum
 from casid.estimation.noise.noise_response import may_vary
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.noise.thresholds import REMOVAL
+from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 
 ComplexArray = NDArray[np.complex128]

@@ -10,7 +10,7 @@ from casid.estimation.noise.residual_autoregressions import (
     orders_text,
 )
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.simulation_estimate import (
+from casid.estimation.simulation_estimate import (
     ASSUMES,
     BIASED,
     COLOURED,

@@ -18,13 +18,13 @@ from scipy.stats import chi2
 
 from casid.arrays import TINY, Array, BoolArray, scaled_inverse
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
-from casid.estimation.errors_in_variables.thresholds import FILLINGS, REMOVAL
 from casid.estimation.noise.absorbed_noise import absorbed
 from casid.estimation.noise.input_noise_floor import input_noise_floor, samples_with_noise
 from casid.estimation.noise.missing_samples import unbroken
 from casid.estimation.noise.noise_floor import floor_error
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import noise_response
+from casid.estimation.noise.thresholds import FILLINGS, REMOVAL
 from casid.estimation.noise.variances import ResidualWindows, estimate_noise, with_rounding
 from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.minimization import Fit

@@ -13,8 +13,8 @@ import numpy as np
 
 from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.errors_in_variables.equations import columns_of, gaussian_noise
-from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.thresholds import REMOVAL
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 

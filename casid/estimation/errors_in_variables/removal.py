@@ -17,10 +17,10 @@ from casid.estimation.errors_in_variables.input_noise import (
     possible_bias,
 )
 from casid.estimation.errors_in_variables.left_by_noise import left_by_noise, squares
-from casid.estimation.errors_in_variables.thresholds import FAR_ROOT, REMOVAL, VARIANCE_SLOPE
 from casid.estimation.errors_in_variables.total_least_squares import total_least_squares
 from casid.estimation.generalised_least_squares import SpectralWeights, weighted_by_spectrum
 from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.thresholds import FAR_ROOT, REMOVAL, VARIANCE_SLOPE
 from casid.estimation.simulation.fit import resolved_under
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError, Whitener

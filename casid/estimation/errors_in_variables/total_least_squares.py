@@ -22,12 +22,12 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.errors_in_variables.thresholds import FAR_ROOT
 from casid.estimation.noise.model_spectra import ModelSpectra, completed
 from casid.estimation.noise.noise_floor import white_floor
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.noise.source_spectra import SourceSpectra
+from casid.estimation.noise.thresholds import FAR_ROOT
 from casid.estimation.noise.whittle_scoring import At, impossible, minimum, step
 from casid.estimation.simulation.initial_state import with_states_anew
 from casid.estimation.simulation.simulation_error import SimulationError

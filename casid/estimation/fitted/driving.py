@@ -16,7 +16,7 @@ from casid.data.reading.survey import ReadingOptions
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.fitted.parts import Channels, FittedRecord
-from casid.estimation.simulation.signals import input_columns
+from casid.estimation.simulation.records.signals import input_columns
 from casid.model.model import Model
 from casid.model.units import to_si
 

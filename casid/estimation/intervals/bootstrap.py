@@ -28,7 +28,7 @@ from casid.estimation.errors_in_variables.removal import (
 from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS, PROFILE_SEARCH
 from casid.estimation.noise.residual_autoregressions import residual_autoregressions
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.input_noise import with_input_noise
+from casid.estimation.simulation.input_noise.input_noise import with_input_noise
 from casid.time_limit import seconds_left
 
 

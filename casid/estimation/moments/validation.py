@@ -21,7 +21,7 @@ from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.errors import DataError, SolveError
-from casid.estimation.moments.instruments import (
+from casid.estimation.moments.instruments.instruments import (
     Instruments,
     Loop,
     UnstableLoop,

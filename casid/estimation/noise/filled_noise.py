@@ -18,8 +18,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.estimation.simulation.input_noise import noisy_inputs
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.input_noise.input_noise import noisy_inputs
+from casid.estimation.simulation.records.signals import Signals
 from casid.model.declarations import Hold
 
 

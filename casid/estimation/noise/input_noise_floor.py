@@ -9,9 +9,9 @@ import numpy as np
 from casid.arrays import BoolArray
 from casid.estimation.noise.noise_floor import floor_error, is_held, white_floor
 from casid.estimation.noise.variances import with_rounding
-from casid.estimation.simulation.foreseen_noise import foreseen_noise
-from casid.estimation.simulation.input_noise import noisy_inputs
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.input_noise.foreseen_noise import foreseen_noise
+from casid.estimation.simulation.input_noise.input_noise import noisy_inputs
+from casid.estimation.simulation.records.signals import Signals
 
 
 def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict[str, float]:

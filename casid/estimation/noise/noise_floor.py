@@ -10,7 +10,7 @@ from scipy.special import gammainc, gammaincinv
 from scipy.stats import norm
 
 from casid.arrays import Array
-from casid.estimation.errors_in_variables.thresholds import CHANNEL_FLOOR
+from casid.estimation.noise.thresholds import CHANNEL_FLOOR
 
 
 def is_held(records: Sequence[Array]) -> bool:

@@ -22,14 +22,10 @@ import numpy as np
 from casid.arrays import TINY, Array, BoolArray, basis_of
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.innovations import Innovations, innovations_of
-from casid.estimation.noise.missing_samples import (
-    PartialInnovations,
-    UnbrokenInnovations,
-    unbroken,
-)
+from casid.estimation.noise.missing_samples import PartialInnovations, UnbrokenInnovations, unbroken
 from casid.estimation.noise.noise_response import Response
 from casid.estimation.noise.varying_innovations import PartialVarying, VaryingInnovations
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 
 Partial = PartialInnovations | UnbrokenInnovations | PartialVarying
 

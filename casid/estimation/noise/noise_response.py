@@ -19,10 +19,10 @@ from casid.arrays import Array
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
 from casid.estimation.noise.filled_noise import noise_spectrum
 from casid.estimation.noise.windowed_response import windowed_spectra
-from casid.estimation.simulation.band_limited import responses_between
-from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
+from casid.estimation.simulation.channels.sensor_dynamics import prepared_inputs, through_sensor
+from casid.estimation.simulation.integration.band_limited import responses_between
+from casid.estimation.simulation.integration.simulator import band_limited, rk4_sample
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.simulation.simulator import band_limited, rk4_sample
 from casid.model.declarations import Input
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model

@@ -21,7 +21,7 @@ from casid.estimation.noise.residual_periodograms import (
     with_floors,
 )
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 

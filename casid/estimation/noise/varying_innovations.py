@@ -26,7 +26,7 @@ from scipy.linalg.lapack import dtbtrs
 from casid.arrays import Array, BoolArray
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.noise_response import Steps
-from casid.estimation.simulation.machine_code import MachineCode
+from casid.estimation.simulation.integration.machine_code import MachineCode
 
 INTERPRETED = 6
 """States up to which CasADi interprets the recursion faster than NumPy takes it by matrices."""

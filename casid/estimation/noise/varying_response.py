@@ -16,10 +16,10 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.errors_in_variables.thresholds import VARYING_RESPONSE
 from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import Steps, may_vary, multiplied_inputs, steps_along
+from casid.estimation.noise.thresholds import VARYING_RESPONSE
 from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.noise.varying_innovations import smoothed_sources
 from casid.estimation.noise.varying_variances import (

@@ -18,9 +18,9 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import TINY, Array, BoolArray
-from casid.estimation.errors_in_variables.thresholds import VARYING_RESPONSE
 from casid.estimation.noise.noise_model import NoiseModel, Variance
 from casid.estimation.noise.noise_response import Steps, joined_steps
+from casid.estimation.noise.thresholds import VARYING_RESPONSE
 from casid.estimation.noise.variances import known_sources
 from casid.estimation.noise.varying_innovations import (
     VaryingInnovations,
@@ -28,7 +28,7 @@ from casid.estimation.noise.varying_innovations import (
     varying_innovations,
 )
 from casid.estimation.noise.whittle_scoring import At, impossible, minimum
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 
 

@@ -21,13 +21,13 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.estimation.simulation.simulator import (
+from casid.estimation.simulation.integration.simulator import (
     band_limited,
     inputs_within,
     rk4_sample,
     rk4_step,
 )
-from casid.estimation.simulation.stepping import Step, Stepping, StepSymbols
+from casid.estimation.simulation.integration.stepping import Step, Stepping, StepSymbols
 from casid.linear.noisy_model import NoisePlaces
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model

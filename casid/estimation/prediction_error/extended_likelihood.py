@@ -23,7 +23,7 @@ from casid.errors import DataError
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.prediction_error.extended_filter import ExtendedFilter, FilteredRecord
 from casid.estimation.prediction_error.unknown_noise import NoisyUnknowns
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.grouping import Grouped
 from casid.linear.noisy_model import NoisePlaces, White

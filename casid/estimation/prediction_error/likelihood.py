@@ -27,7 +27,7 @@ from casid.data.experiment import Experiment
 from casid.errors import DataError, ModelError
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.prediction_error.unknown_noise import NoisyUnknowns
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.grouping import Grouped
 from casid.linear.kalman import (

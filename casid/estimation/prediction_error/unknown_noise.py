@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.unknowns import Unknowns
 from casid.linear.noisy_model import NoisePlaces
 from casid.model.model import Model

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.simulation.measured_states import measured_states, output_equations
+from casid.estimation.simulation.records.measured_states import measured_states, output_equations
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INSTABILITY
 

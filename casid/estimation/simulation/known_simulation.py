@@ -7,11 +7,15 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.simulation.known_rest import KnownRest, rest_before
+from casid.estimation.simulation.channels.known_rest import KnownRest, rest_before
+from casid.estimation.simulation.channels.sensor_dynamics import (
+    Before,
+    prepared_inputs,
+    through_sensor,
+)
+from casid.estimation.simulation.integration.simulator import Simulator
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.sensor_dynamics import Before, prepared_inputs, through_sensor
-from casid.estimation.simulation.signals import Signals
-from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.simulation.records.signals import Signals
 from casid.model.model import Model
 
 

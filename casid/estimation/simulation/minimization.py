@@ -16,7 +16,7 @@ from casid.estimation.local_rank import describe_null, rank_of
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
 from casid.estimation.nlp.solver import Solver, descending, quasi_newton
-from casid.estimation.simulation.sensor_dynamics import due_to_earlier_inputs
+from casid.estimation.simulation.channels.sensor_dynamics import due_to_earlier_inputs
 from casid.estimation.simulation.simulation_error import SimulationError, Whitener
 from casid.model.model import Model
 from casid.time_limit import require_time, seconds_left

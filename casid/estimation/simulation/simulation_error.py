@@ -22,29 +22,29 @@ from casid.arrays import Array, rows_between
 from casid.data.experiment import Experiment
 from casid.errors import DataError
 from casid.estimation.nlp.solution import Evaluation
-from casid.estimation.simulation.known_rest import rest_before
-from casid.estimation.simulation.measured_states import (
-    measured_output,
-    measured_states,
-    output_equations,
-    state_size,
-)
-from casid.estimation.simulation.own_instants import at_own_instants
-from casid.estimation.simulation.sensor_dynamics import (
+from casid.estimation.simulation.channels.known_rest import rest_before
+from casid.estimation.simulation.channels.own_instants import at_own_instants
+from casid.estimation.simulation.channels.sensor_dynamics import (
     MEMORY,
     Before,
     due_to_earlier_inputs,
     prepared_inputs,
     through_sensor,
 )
-from casid.estimation.simulation.signals import (
+from casid.estimation.simulation.integration.simulator import Simulator, placed
+from casid.estimation.simulation.records.measured_states import (
+    measured_output,
+    measured_states,
+    output_equations,
+    state_size,
+)
+from casid.estimation.simulation.records.signals import (
     Signals,
     output_spread,
     require_samples_for_segments,
     signals_of,
     window_cuts,
 )
-from casid.estimation.simulation.simulator import Simulator, placed
 from casid.estimation.unknowns import LastOf, LastPoints, Unknowns, Variable
 from casid.grouping import Grouped
 from casid.model.model import Model

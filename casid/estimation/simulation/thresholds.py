@@ -19,8 +19,8 @@ _SINGULAR = "tests/identification/test_singular_plant.py"
 _WINDOWS = "tests/diagnosis/evidence/records/test_unstable_records.py"
 _LOOP = "tests/estimation/test_feedback.py"
 _ROUNDING = "tests/estimation/simulation/test_rounding.py"
-_FORESEEN = "tests/estimation/simulation/test_foreseen_noise.py"
-_GROWING = "tests/estimation/simulation/test_growing_noise.py"
+_FORESEEN = "tests/estimation/simulation/input_noise/test_foreseen_noise.py"
+_GROWING = "tests/estimation/simulation/input_noise/test_growing_noise.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 

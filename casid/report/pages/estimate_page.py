@@ -10,17 +10,9 @@ from typing import Any
 from casid.data.experiment import Experiment
 from casid.errors import CasidError
 from casid.estimation.estimate import Estimate, RecordView
-from casid.estimation.fitted.free_simulation import simulated_views
-from casid.estimation.moments.moment_estimate import MomentEstimate
-from casid.report.document import (
-    Banner,
-    Bullets,
-    Document,
-    Part,
-    Section,
-    Table,
-    figure_parts,
-)
+from casid.estimation.free_simulation import simulated_views
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
+from casid.report.document import Banner, Bullets, Document, Part, Section, Table, figure_parts
 from casid.report.figures.estimates import parameter_figure
 from casid.report.figures.simulated import simulation_figure
 from casid.report.numbers import interval_lines, number_text

@@ -9,7 +9,7 @@ import numpy as np
 from casid.campaigns.monte_carlo import MonteCarlo
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.fitted.model_comparison import ModelComparison
-from casid.estimation.moments.moment_estimate import MomentEstimate
+from casid.estimation.moments.stages.moment_estimate import MomentEstimate
 from casid.estimation.reconciliation import Reconciled
 from casid.estimation.regression.regression_estimate import RegressionEstimate
 from casid.identification.grey_box import Prediction

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from casid.estimation.moments.black_box_reference import BlackBoxReferences
-from casid.estimation.moments.convergence import Convergence
+from casid.estimation.moments.instruments.black_box_reference import BlackBoxReferences
+from casid.estimation.moments.stages.convergence import Convergence
 from casid.estimation.moments.validation import Validation
 from casid.identifiability.combinations.family_estimate import AlongFamily
 from casid.identification.invariants import Invariants

@@ -19,7 +19,7 @@ from analysis.load_monitoring.records import (
     spectrum,
     wave_forces,
 )
-from casid.estimation.moments.gram import Moments
+from casid.estimation.cross_moments.gram import Moments
 from problems import ship
 from problems.ship_simulator.waves import G, WaveLoads, variance
 

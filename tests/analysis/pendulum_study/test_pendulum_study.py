@@ -35,8 +35,8 @@ from analysis.pendulum_study.study import (
     study,
 )
 from casid.campaigns.campaign import run_seed
-from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.instruments.instruments import Instruments
+from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.identification.moment_estimators import multistage
 from problems.pendulum import TABLE_7_2, indirect_model
 

@@ -32,7 +32,7 @@ from analysis.ship_algorithm.study import (
     fit,
 )
 from casid.errors import IdentifiabilityError
-from casid.estimation.moments.parts import parts_of
+from casid.estimation.moments.equations.parts import parts_of
 from casid.identifiability import requirement
 from casid.identifiability.combinations.family_estimate import along_family
 from casid.identification.iterative_joint_instruments import family_values

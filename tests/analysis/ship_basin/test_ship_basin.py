@@ -25,8 +25,8 @@ from analysis.ship_basin.records import (
 from analysis.ship_basin.runs import LEAST_SQUARES, LOAD, Draws, Found, estimated
 from analysis.ship_basin.study import LIGHTER, apart, coverage
 from casid.campaigns.campaign import campaign
-from casid.estimation.moments.convergence import Convergence
-from casid.estimation.moments.parts import parts_of
+from casid.estimation.moments.equations.parts import parts_of
+from casid.estimation.moments.stages.convergence import Convergence
 from problems.ship import TABLE_8_2
 
 

@@ -17,7 +17,7 @@ from analysis.ship_bias.table import (
     with_background,
 )
 from analysis.ship_bias.wrong_signs import flipped, straight_course
-from casid.estimation.moments.column_products import column_means
+from casid.estimation.cross_moments.column_products import column_means
 from casid.identification.moment_estimators import least_squares
 from casid.identification.signs_from_moments import sign_flips
 from casid.linear.lagged_columns import Column

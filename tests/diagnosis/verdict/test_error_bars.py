@@ -7,7 +7,7 @@ import pytest
 
 import casid
 from casid.diagnosis.verdict.error_bars import ROUNDED
-from casid.estimation.simulation.simulation_estimate import CORRECTED
+from casid.estimation.simulation_estimate import CORRECTED
 from problems import pendulum
 
 

@@ -8,7 +8,7 @@ import pytest
 import casid
 from casid.estimation.fitted.equations import equations_of
 from casid.estimation.simulation.fit import fit_model
-from casid.estimation.simulation.simulation_estimate import estimate_of
+from casid.estimation.simulation_estimate import estimate_of
 from casid.model.clock_signals import StepAt
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.channel_effects import dead_time, hold, sensor_lag, time_delay

@@ -15,7 +15,7 @@ from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import Response, noise_response
 from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.minimization import minimize_simulation_error
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.channel_effects import sensor_lag
 from casid.model.effects.structure_effects import actuator_lag

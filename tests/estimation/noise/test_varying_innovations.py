@@ -19,7 +19,7 @@ from casid.estimation.noise.varying_innovations import (
     smoothed_sources,
     varying_innovations,
 )
-from casid.estimation.simulation import machine_code
+from casid.estimation.simulation.integration import machine_code
 
 N, TS = 40, 0.5
 SD = np.array([0.1, 0.3])

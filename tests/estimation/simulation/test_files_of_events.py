@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.estimation.simulation.input_gaps import has_row_at_every_step, with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import has_row_at_every_step, with_gaps_treated
 from casid.identification.identify import identify
 
 V, CL, NOISE = 12.0, 4.0, 0.05

@@ -16,7 +16,7 @@ from casid.estimation.nlp.solver import Solver, descending
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.simulation.simulation_estimate import channel_notes
+from casid.estimation.simulation_estimate import channel_notes
 
 ONE = FitSettings(starts=1, substeps=1)
 

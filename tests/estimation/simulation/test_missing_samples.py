@@ -15,7 +15,7 @@ from scipy.linalg import expm
 
 import casid
 from casid.errors import DataError
-from casid.estimation.simulation.input_gaps import filled, long_gaps, with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import filled, long_gaps, with_gaps_treated
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INPUT_GAPS
 

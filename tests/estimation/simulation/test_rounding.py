@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.estimation.simulation.signals import rounding_of
+from casid.estimation.simulation.records.signals import rounding_of
 
 RNG = np.random.default_rng(5)
 T = np.arange(4000) * 0.5

@@ -11,9 +11,9 @@ import pytest
 from scipy.signal import cont2discrete
 
 import casid
+from casid.estimation.simulation.channels.sensor_dynamics import delay_columns
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import minimize_simulation_error
-from casid.estimation.simulation.sensor_dynamics import delay_columns
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.channel_effects import saturation, sensor_lag, time_delay
 

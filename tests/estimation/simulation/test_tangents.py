@@ -8,7 +8,7 @@ import pytest
 import casid
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.simulation.simulation_estimate import steeper_than_simulation
+from casid.estimation.simulation_estimate import steeper_than_simulation
 
 
 def doubling(gain: float) -> casid.Model:
@@ -37,7 +37,7 @@ def test_a_chaotic_simulation_has_no_slope_and_a_smooth_one_has():
 
 
 def test_an_estimate_from_a_chaotic_simulation_has_no_standard_errors_and_says_why():
-    from casid.estimation.simulation.simulation_estimate import estimate_of
+    from casid.estimation.simulation_estimate import estimate_of
 
     problem = casid.Problem("map", doubling(7.0), starts=1)
     settings = FitSettings(starts=1, substeps=1)

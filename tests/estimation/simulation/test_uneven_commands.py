@@ -16,7 +16,7 @@ from casid.diagnosis.evidence.recording_faults.steps_in_gaps import with_steps_i
 from casid.errors import DataError
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.input_gaps import filled, with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import filled, with_gaps_treated
 
 LEAK, NOISE, N = 0.002, 0.05, 800
 

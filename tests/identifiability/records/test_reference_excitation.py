@@ -9,7 +9,7 @@ import pytest
 
 import casid
 from casid.errors import DataError
-from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.simulation.integration.simulator import Simulator
 from casid.identifiability.records.excitation_order import decorrelation, excitation_orders
 from casid.identifiability.records.reference_excitation import record_excitation
 from problems import pendulum

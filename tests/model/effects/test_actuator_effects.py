@@ -9,13 +9,9 @@ import pytest
 
 import casid
 from casid.errors import ModelError
-from casid.estimation.simulation.sensor_dynamics import play
+from casid.estimation.simulation.channels.sensor_dynamics import play
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.actuator_effects import (
-    actuator_saturation,
-    input_backlash,
-    input_deadzone,
-)
+from casid.model.effects.actuator_effects import actuator_saturation, input_backlash, input_deadzone
 from casid.model.effects.effect import Effect
 
 Ts, N = 0.1, 400

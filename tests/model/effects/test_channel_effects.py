@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import casid
-from casid.estimation.simulation.first_order_lags import lag_columns
+from casid.estimation.simulation.channels.first_order_lags import lag_columns
+from casid.estimation.simulation.channels.sensor_dynamics import delay_columns
 from casid.estimation.simulation.minimization import minimize_simulation_error
-from casid.estimation.simulation.sensor_dynamics import delay_columns
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.channel_effects import (
     channel_effects_of,

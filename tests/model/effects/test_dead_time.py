@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.estimation.simulation.band_limited import moved
+from casid.estimation.simulation.channels.sample_lines import delayed_lines, lines_of
+from casid.estimation.simulation.integration.band_limited import moved
 from casid.estimation.simulation.minimization import minimize_simulation_error
-from casid.estimation.simulation.sample_lines import delayed_lines, lines_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channel_effects import dead_time, hold, sensor_lag, time_delay

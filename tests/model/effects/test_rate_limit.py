@@ -12,13 +12,13 @@ import casid
 from casid.diagnosis.evidence.records.command_rates import command_rates
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.estimation.simulation.rate_limits import (
+from casid.estimation.simulation.channels.rate_limits import (
     change_with_rate,
     rate_limited,
     through_limit,
 )
-from casid.estimation.simulation.sample_lines import delayed_lines, lines_of
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.channels.sample_lines import delayed_lines, lines_of
+from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
 from tests.support.fitted_models import driven_mass, fitted_model
 

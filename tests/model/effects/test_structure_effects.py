@@ -8,11 +8,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
-from casid.estimation.simulation.first_order_lags import lag_lines
+from casid.estimation.simulation.channels.first_order_lags import lag_lines
+from casid.estimation.simulation.channels.sample_lines import lines_of
+from casid.estimation.simulation.integration.simulator import Simulator
 from casid.estimation.simulation.minimization import minimize_simulation_error
-from casid.estimation.simulation.sample_lines import lines_of
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.simulation.simulator import Simulator
 from casid.model.effects.effect import Sizes, extend_all
 from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES
 from casid.model.effects.structure_effects import (

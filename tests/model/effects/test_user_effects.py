@@ -13,7 +13,7 @@ import casid
 from casid.diagnosis.evidence.scores.divergence import diverging_size
 from casid.errors import ModelError
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.simulation.integration.simulator import Simulator
 from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import coulomb_friction
 from casid.model.effects.effect import Effect

@@ -1,1 +1,1 @@
-"""Clocks of records: time stamps as seconds, even clocks, absent rows, several in one file."""
+"""Clocks of records: time stamps as seconds, even clocks, absent rows, resampling."""

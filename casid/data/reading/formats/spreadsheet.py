@@ -9,9 +9,9 @@ from typing import Any
 
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.formats.groups import Group, chosen_table
-from casid.data.reading.formats.text_source import HEAD
 from casid.data.reading.layout import layout_of_rows
 from casid.data.reading.tables import Table
+from casid.data.reading.text_source import HEAD
 from casid.model.quantities import count_text
 
 

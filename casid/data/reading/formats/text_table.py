@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casid.data.reading.file_format import FileFormat
-from casid.data.reading.formats.text_source import COMMENT, HEAD, TextSource
 from casid.data.reading.layout import NO_VALUE, cells_of, is_date, layout_of, names_above
 from casid.data.reading.number_marks import Evidence, decimal_mark
 from casid.data.reading.tables import Table
+from casid.data.reading.text_source import COMMENT, HEAD, TextSource
 from casid.errors import DataError
 from casid.model.quantities import count_text
 

@@ -21,7 +21,7 @@ from casid.diagnosis.evidence.recording_faults.stuck_sensors import Standstills,
 from casid.diagnosis.thresholds import OUTLIERS
 from casid.estimation.holdout import Split, restarts, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 from casid.model.model import Model
 
 

@@ -23,10 +23,10 @@ from casid.data.sampling import gaps_of, stretches_of
 from casid.diagnosis.evidence.recording_faults.steps_in_gaps import begun_as, is_busy, with_columns
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
-from casid.estimation.simulation.input_gaps import FILLED
 from casid.estimation.simulation.known_simulation import outputs_by
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.input_gaps import FILLED
+from casid.estimation.simulation.records.signals import Signals
 
 
 @dataclass(frozen=True, slots=True)

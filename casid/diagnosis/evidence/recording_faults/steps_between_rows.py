@@ -22,7 +22,7 @@ from casid.diagnosis.evidence.recording_faults.steps_in_gaps import is_busy
 from casid.diagnosis.thresholds import STEPS_BETWEEN_ROWS
 from casid.estimation.simulation.known_simulation import outputs_by
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

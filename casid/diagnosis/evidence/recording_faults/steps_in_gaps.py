@@ -26,10 +26,10 @@ from casid.data.record import Record
 from casid.data.sampling import stretches_of
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
+from casid.estimation.simulation.channels.own_instants import lateness_of_steps
 from casid.estimation.simulation.known_simulation import outputs_by
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.own_instants import lateness_of_steps
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.simulation.rate_limits import rate_limited
-from casid.estimation.simulation.sample_lines import lines_of
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.channels.rate_limits import rate_limited
+from casid.estimation.simulation.channels.sample_lines import lines_of
+from casid.estimation.simulation.records.signals import Signals
 from casid.model.effects.channel_effects import commands_of, is_rate_limited
 from casid.model.effects.search_ranges import ACTUATORS
 from casid.model.model import Model

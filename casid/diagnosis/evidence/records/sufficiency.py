@@ -27,7 +27,7 @@ from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import Response
 from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
-from casid.estimation.simulation.signals import require_sizes
+from casid.estimation.simulation.records.signals import require_sizes
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 

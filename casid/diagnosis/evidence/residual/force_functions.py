@@ -14,7 +14,7 @@ from casid.diagnosis.thresholds import FUNCTIONS
 from casid.estimation.feedback import (
     slope,
 )
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import Simulated, SimulationError
 from casid.model.model import Model
 

@@ -18,14 +18,14 @@ from scipy.linalg.lapack import dtbtrs
 
 from casid.arrays import Array
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
-from casid.estimation.errors_in_variables.thresholds import REMOVAL
-from casid.estimation.simulation.first_order_lags import lag_columns
-from casid.estimation.simulation.input_noise import input_noise_sd
-from casid.estimation.simulation.known_rest import rest_before
-from casid.estimation.simulation.sensor_dynamics import delay_columns
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.noise.thresholds import REMOVAL
+from casid.estimation.simulation.channels.first_order_lags import lag_columns
+from casid.estimation.simulation.channels.known_rest import rest_before
+from casid.estimation.simulation.channels.sensor_dynamics import delay_columns
+from casid.estimation.simulation.input_noise.input_noise import input_noise_sd
+from casid.estimation.simulation.integration.simulator import rk4_sample
+from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import Simulated, SimulationError
-from casid.estimation.simulation.simulator import rk4_sample
 from casid.model.declarations import Input
 
 

@@ -24,13 +24,13 @@ from casid.diagnosis.evidence.residual.linearised_path import Linearised, Motion
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
-from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.feedback import (
     not_felt_yet,
     one_sample_late,
     slope,
 )
 from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.thresholds import REMOVAL
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.feedback import not_felt_yet, slope
 from casid.estimation.noise.innovations import GROUP
-from casid.estimation.simulation.input_noise import input_noise_sd
+from casid.estimation.noise.thresholds import REMOVAL
+from casid.estimation.simulation.input_noise.input_noise import input_noise_sd
 from casid.estimation.simulation.minimization import Fit, widened
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect, extend_all

@@ -29,18 +29,18 @@ from casid.estimation.disturbances.disturbance_estimation import with_disturbanc
 from casid.estimation.disturbances.disturbance_likelihood import likeliest
 from casid.estimation.errors_in_variables.input_noise import input_noise
 from casid.estimation.errors_in_variables.left_by_noise import share_that_is_there
-from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.errors_in_variables.total_least_squares import total_least_squares
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.noise.noise_floor import white_floor
 from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.thresholds import REMOVAL
 from casid.estimation.noise.variances import error_over_noise, estimate_noise
 from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.initial_state import with_states_anew
-from casid.estimation.simulation.input_noise import input_noise_sd
+from casid.estimation.simulation.input_noise.input_noise import input_noise_sd
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model

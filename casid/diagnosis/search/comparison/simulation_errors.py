@@ -29,7 +29,7 @@ from casid.estimation.holdout import (
 )
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.records.signals import Signals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,8 @@ from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
+from casid.estimation.simulation.channels.sensor_dynamics import MEMORY
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.sensor_dynamics import MEMORY
 from casid.model.effects.clock_effects import at_instant, knock
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import PARAMETER_JUMPS

@@ -14,14 +14,10 @@ from numpy.typing import ArrayLike
 
 from casid.arrays import TINY, Array
 from casid.errors import DataError, ModelError
-from casid.estimation.moments.moments import Moments, moments
+from casid.estimation.cross_moments.moments import Moments, moments
 from casid.estimation.prediction_error.polynomial.estimation import prediction_error
 from casid.estimation.prediction_error.polynomial.model import PolynomialModel
-from casid.estimation.prediction_error.polynomial.orders import (
-    Orders,
-    is_stable,
-    settling,
-)
+from casid.estimation.prediction_error.polynomial.orders import Orders, is_stable, settling
 from casid.estimation.prediction_error.polynomial.records import records_of
 from casid.estimation.prediction_error.polynomial.start_values import long_model, long_order
 from casid.linear.stability import largest_root

@@ -8,8 +8,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError
+from casid.estimation.cross_moments.moments import moments
 from casid.estimation.local_rank import LocalRank, local_rank
-from casid.estimation.moments.moments import moments
 
 
 def dependent_columns(gram: Array, names: Sequence[str]) -> tuple[LocalRank, str]:

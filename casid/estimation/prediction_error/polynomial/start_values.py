@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.estimation.moments.moments import moments
+from casid.estimation.cross_moments.moments import moments
 from casid.estimation.prediction_error.polynomial.orders import (
     Layout,
     Polynomials,

@@ -15,11 +15,11 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import CasidError, IdentifiabilityError, SolveError
 from casid.estimation.local_rank import local_rank
-from casid.estimation.moments.moment_covariance import moment_covariance
-from casid.estimation.moments.moment_equations import MomentEquations, moment_equations
-from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
-from casid.estimation.moments.noise_models import noise_models
-from casid.estimation.moments.parts import Part
+from casid.estimation.moments.equations.moment_covariance import moment_covariance
+from casid.estimation.moments.equations.moment_equations import MomentEquations, moment_equations
+from casid.estimation.moments.equations.moment_nlp import Condensed, PhysicalNlp
+from casid.estimation.moments.equations.parts import Part
+from casid.estimation.moments.stages.noise_models import noise_models
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial.orders import Layout, Orders

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from casid.arrays import Array
 from casid.errors import CasidError
-from casid.estimation.moments.instruments import Simulated, from_reference
+from casid.estimation.moments.instruments.instruments import Simulated, from_reference
 from casid.estimation.prediction_error.polynomial.estimation import arx
 from casid.estimation.prediction_error.polynomial.model import PolynomialModel
 from casid.linear.difference_equation import DifferenceEquation

@@ -9,7 +9,7 @@ import casid
 from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_corrupted
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.input_gaps import with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import with_gaps_treated
 
 N, TS, LAG, NOISE, SPIKE = 600, 1.0, 0.6, 0.02, 100
 

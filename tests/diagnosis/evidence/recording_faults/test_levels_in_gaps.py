@@ -18,7 +18,7 @@ from casid.diagnosis.evidence.recording_faults.levels_in_gaps import with_levels
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.input_gaps import with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import with_gaps_treated
 
 TS, C, G = 600.0, 2.6e6, 300.0
 

@@ -16,7 +16,7 @@ from casid.data.record import Record
 from casid.diagnosis.evidence.recording_faults.steps_in_gaps import with_steps_in_gaps
 from casid.estimation.holdout import split_records, whole_simulation
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.input_gaps import with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import with_gaps_treated
 
 TS, N = 0.05, 1200
 R, L = 1.2, 0.048

@@ -16,10 +16,10 @@ import pytest
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
-from casid.estimation.moments.instruments import Instruments, Loop, Simulated
-from casid.estimation.moments.moment_covariance import moment_covariance
-from casid.estimation.moments.moment_equations import MomentEquations
-from casid.estimation.moments.moments import moments
+from casid.estimation.cross_moments.moments import moments
+from casid.estimation.moments.equations.moment_covariance import moment_covariance
+from casid.estimation.moments.equations.moment_equations import MomentEquations
+from casid.estimation.moments.instruments.instruments import Instruments, Loop, Simulated
 from casid.estimation.prediction_error.polynomial.estimation import armax, arx
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column

@@ -1,0 +1,1 @@
+"""Moment equations of one output of one record, their covariance, and their nonlinear programs."""

@@ -1,0 +1,1 @@
+"""Signals that no disturbance reaches: instruments, and whether a reference may make them."""

@@ -1,0 +1,1 @@
+"""Estimates from moment equations, stage after stage, with the errors that each passes on."""
