@@ -1,0 +1,179 @@
+"""Units that stand in the name of a column, or are given for it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from casid.data.quality import check
+from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.header_units import header_unit
+from casid.data.reading.record_file import read_record
+from casid.errors import DataError, UnitError
+from tests.support.text_tables import T, rows
+
+
+def test_a_file_is_read_in_si_units_with_its_history(csv):
+    path = csv(rows(T, np.full(50, 180.0), T))
+    record = read_record(path)
+    assert record.names == ("phi_deg", "force_N")
+    assert record["phi_deg"][0] == pytest.approx(np.pi)
+    assert dict(record.units) == {"phi_deg": "rad", "force_N": "N"}
+    assert record.Ts == pytest.approx(0.1, rel=1e-14)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert f"sha256 {digest}" in record.provenance[0]
+    step = "column phi_deg [deg] to phi_deg [rad]: times 0.0174532925; unit from its name"
+    assert step in record.provenance
+
+
+def test_a_name_that_is_a_unit_itself_may_be_in_another_unit(csv):
+    """As a product of units, tonne inch second and metre inch kilogram, they named no quantity."""
+    path = csv("t in ms,m in kg,h in cm,V in V\n0,1,100,3\n500,2,200,4\n1000,3,300,5\n")
+    record = read_record(path)
+    assert record.Ts == pytest.approx(0.5)
+    assert dict(record.units) == {"m in kg": "kg", "h in cm": "m", "V in V": "V"}
+    assert record["h in cm"].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_unit_that_a_column_s_name_ends_in_stands_once(csv):
+    record = read_record(csv(rows(np.arange(9.0), header="Zeit [s],u [V],kraft_N")))
+    said = "; ".join(record.provenance)
+    assert "time column Zeit [s];" in said
+    assert "column u [V] to u [V];" in said
+    assert "column kraft_N [N] to kraft_N [N];" in said
+
+
+def test_columns_are_mapped_with_their_own_units(csv):
+    path = csv(rows(T, np.full(50, 180.0), np.full(50, 2.0), header="t,roll,pull"))
+    record = read_record(
+        path, {"phi": ColumnSpec("roll", "deg", "rad"), "f": ("pull", "kN", "N"), "g": "pull"}
+    )
+    assert record["phi"][3] == pytest.approx(np.pi)
+    assert record["f"][3] == 2000.0
+    assert record.units["g"] == "1"
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [("phi_rad", "rad"), ("q_meas_m", "m"), ("u_V", "V"), ("p_degps", "degps"), ("n_rpm", "rpm"),
+     ("v [m/s]", "m/s"), ("u (V)", "V"), ("x_g", None), ("x_bar", None), ("a_s", None),
+     ("x_min", None), ("y", None), ("x []", "1"), ("u_ms", None), ("T [degC]", "degC"),
+     ("u [Volt]", "V"), ("v (Meters per Second)", "m/s"), ("M in Newton metre", "N m"),
+     ("p [Kilopascal]", "kPa"), ("T [Degree Celsius]", "degC"), ("m [Pound]", None),
+     ("x_Second", None), ("x_Bar", None), ("h (in cm)", "cm"), ("h(t) (in cm)", "cm"),
+     ("h(t) [mm]", "mm"), ("t (in sec)", "sec"), ("h (in)", "in"), ("h (in in)", "in"),
+     ("P [in W (mean)]", None), ("M (in lbf)", None), ("phi [deg] (filtered)", "deg")],
+)  # fmt: skip
+def test_the_ending_of_a_name_gives_the_unit_where_it_has_one_reading(column, unit):
+    found = header_unit(column)
+    assert (found.unit if found else None) == unit
+
+
+@given(
+    name=st.sampled_from(["v", "pitch_rate", "q_in", "T_2"]),
+    above=st.sampled_from(["deg", "m", "m3", "m^3", "kg", "N*m", "kN", "J", "m²", "rad"]),
+    below=st.sampled_from(["s", "min", "h", "s^2", "s²", "ms"]),
+)
+def test_a_quotient_behind_the_last_underscore_is_one_unit(name, above, below):
+    """A name ends at its last underscore: what stands behind a slash is a part of a unit."""
+    found = header_unit(f"{name}_{above}/{below}")
+    assert found is not None
+    assert (found.unit, found.stem) == (f"{above}/{below}", name)
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "stem"),
+    [("T_N*m", "N*m", "T"), ("A_m²", "m²", "A"), ("a_m^2", "m^2", "a"), ("Q_kJ/kg", "kJ/kg", "Q"),
+     ("n_1/min", None, "n"), ("q_l/min", "l/min", "q"), ("i_a/mA", "mA", "i_a"),
+     ("T_in/degC", "degC", "T_in"), ("u_d/V", "V", "u_d"), ("x_1/m", "m", "x_1"),
+     ("dp_dt/Pa", "Pa", "dp_dt")],
+)  # fmt: skip
+def test_a_compound_ending_is_a_unit_and_an_index_before_a_slash_is_none(column, unit, stem):
+    """n_1/min has two readings, as n [1/min] has; an index before a unit stays in the name."""
+    found = header_unit(column)
+    assert found is not None
+    assert (found.unit, found.stem) == (unit, stem)
+
+
+@pytest.mark.parametrize("name", ["q", "H(t)", "omega_1"])
+@pytest.mark.parametrize("unit", ["deg/s", "m/s^2", "N m"])
+@pytest.mark.parametrize("between", ["/", " / ", " /"])
+def test_a_quotient_of_quantity_and_compound_unit_has_brackets_around_the_unit(name, unit, between):
+    """ISO 80000-1 writes the heading of a column as q/(deg/s): the slash is no part of the name."""
+    found = header_unit(f"{name}{between}({unit})")
+    assert found is not None
+    assert (found.unit, found.stem, found.is_sure) == (unit, name, True)
+
+
+@pytest.mark.parametrize("unit", ["W/m^2", "degC", "km/h", "l/min", "m³/h", "Meter per second"])
+@pytest.mark.parametrize("between", [" in ", ", in "])
+def test_the_word_in_between_name_and_unit_belongs_to_neither(unit, between):
+    """Also where the unit is a quotient, whose slash alone would tell it from the name."""
+    found = header_unit(f"solar radiation{between}{unit}")
+    assert found is not None
+    assert (found.text, found.stem, found.is_sure) == (unit, "solar radiation", True)
+
+
+def test_units_that_do_not_match_or_are_ambiguous_are_refused_with_channel_and_column(csv):
+    path = csv(rows(T))
+    with pytest.raises(UnitError, match="channel phi from column 'force_N'.*'kN' measures"):
+        read_record(path, {"phi": ("force_N", "kN", "rad")})
+    with pytest.raises(UnitError, match=r"channel f .*ambiguous.*nmi \(nautical mile\).*nanometre"):
+        read_record(path, {"f": ("force_N", "nm", "m")})
+    with pytest.raises(DataError, match=r"Give \(column, unit in the file, SI target\)"):
+        read_record(path, {"f": ("a", "b", "c", "d")})
+
+
+@pytest.mark.parametrize(
+    ("given", "target", "size"),
+    [("g", "m/s^2", 9.80665), ("g", "kg", 1e-3), ("KN", "N", 1e3), ("F", "K", 5 / 9)],
+)
+def test_of_two_readings_of_a_given_unit_the_one_that_fits_the_model_is_taken(
+    csv, given, target, size
+):
+    record = read_record(csv(rows(T)), {"f": ("force_N", given, target)})
+    plain = read_record(csv(rows(T)), {"f": ("force_N", "1", "1")})
+    np.testing.assert_allclose(np.diff(record["f"]), size * np.diff(plain["f"]), atol=1e-9)
+
+
+def test_a_unit_in_brackets_is_the_file_s_word_and_an_ending_only_a_hint(csv):
+    path = csv(rows(T, header="t,pull [KN],f_deg"))
+    with pytest.raises(UnitError, match="ambiguous.*Write which"):
+        read_record(path)
+    record = read_record(path, {"f": ColumnSpec("f_deg", target="N")})
+    assert record["f"][0] == 1.0
+    path = csv(rows(T, header="t,pull [deg],f"))
+    with pytest.raises(UnitError, match="'deg' measures 1, but 'N'"):
+        read_record(path, {"f": ColumnSpec("pull [deg]", target="N")})
+    assert read_record(path, {"f": ("pull [deg]", "N", "N")}).units["f"] == "N"
+
+
+@pytest.mark.parametrize(
+    ("header", "given", "severity", "words"),
+    [("P [W]", "kW", "warning", "in kW, the unit given, though the file states W: .* 1000 times"),
+     ("P [degC]", "K", "warning", "the file states degC. Leave the unit out, as in --map 'P=P"),
+     ("P [deg]", "N", "warning", "the file states deg"),
+     ("P_deg", "rad", "note", "its name ends with deg: its numbers count 57.2958 times"),
+     ("P_deg", "N", "", ""), ("P [W]", "J/s", "", ""), ("P [KN]", "kN", "", ""),
+     ("P", "kW", "", "")],
+)  # fmt: skip
+def test_a_unit_other_than_the_one_that_the_file_states_is_reported(
+    csv, header, given, severity, words
+):
+    path, columns = csv(rows(T, header=f"t,{header},f")), {"P": (header, given)}
+    reported = [f for f in check(path, columns).findings if "the unit given" in f.text]
+    assert [f.severity for f in reported] == ([severity] if severity else [])
+    assert all(re.search(words, str(f)) for f in reported)
+    remarks = [s for s in read_record(path, columns).provenance if "the unit given" in s]
+    assert len(remarks) == len(reported)
+
+
+def test_a_unit_of_time_other_than_the_one_that_the_file_states_is_reported(csv):
+    found = check(csv(rows(T, header="t [s],y,f")), time=ColumnSpec("t [s]", "min"))
+    (finding,) = [f for f in found.findings if f.channel == "t"]
+    assert "though the file states s: its numbers count 60 times as much" in finding.text
