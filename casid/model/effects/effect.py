@@ -17,7 +17,6 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model.declarations import Hold, Parameter
 from casid.model.declared_units import unit_in_balance
-from casid.model.effects.names import STORE
 from casid.model.effects.search_ranges import SMOOTHING
 from casid.model.identifiers import made_identifier
 from casid.model.model import Model
@@ -120,8 +119,8 @@ class Effect:
 
     @property
     def is_store(self) -> bool:
-        """True of a store that follows another with a time constant: it cannot swing."""
-        return self.kind == "missing_mode" and self.description.startswith(STORE)
+        """True of a store that follows another with a time constant: it has no frequency."""
+        return self.kind == "missing_mode" and any(p.unit == "s" for p in self.parameters)
 
     @property
     def sets_in(self) -> bool:

@@ -119,10 +119,6 @@ _LAWS = (
 )
 """Kinds that are called by what a body does, and by their law where the balance is no force's."""
 
-STORE = "a further store"
-"""How the description begins of a store that the model omits."""
-
-
 ANYWHERE = "model"
 """The place of an unknown cause whose balance or output is not determined."""
 

@@ -24,7 +24,6 @@ from casid.model.effects.channel_effects import (
     require_command,
 )
 from casid.model.effects.effect import Effect, Sizes, added_state, is_null, known_while_null
-from casid.model.effects.names import STORE
 from casid.model.effects.place import Expr, Place, balance_place, in_symbols_of, is_mechanical
 from casid.model.effects.places import place_named, places_of
 from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES, RANGES
@@ -189,7 +188,7 @@ def missing_store(model: Model, balance: str, tau: float) -> Effect:
         variant=tau,
         cost=MISSING_STORES.cost,
         priority=1,
-        description=f"{STORE}, which the model omits, follows {b.rate} with a time "
+        description=f"a further store, which the model omits, follows {b.rate} with a time "
         f"constant (in the {balance} balance)",
         declared_units={"C_m": shown},
     )
