@@ -24,12 +24,7 @@ from casid.diagnosis.search.findings import Findings, search_causes
 from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
 from casid.diagnosis.thresholds import BUDGET
 from casid.diagnosis.verdict.ended_changes import may_be_over
-from casid.diagnosis.verdict.judgement import (
-    Judgement,
-    errs_in_held_out_alone,
-    judge,
-    notes_on,
-)
+from casid.diagnosis.verdict.judgement import Judgement, errs_in_held_out_alone, judge, notes_on
 from casid.diagnosis.verdict.not_accepted import refusal_notes
 from casid.diagnosis.verdict.sentences import noise_text
 from casid.errors import OutOfTimeError
@@ -146,14 +141,12 @@ def diagnose(
     if calibrate:
         require_runs(calibrate)
     split = split_records(chosen, hold_out)
-    fit_settings = FitSettings(
-        starts=problem.starts if starts is None else starts, solver=solver, seed=seed
-    )
+    starts = problem.starts if starts is None else starts
     settings = DiagnosisSettings(
         false_alarm_rate,
         max_causes,
         without,
-        fit_settings,
+        FitSettings(starts=starts, solver=solver, seed=seed),
         progress or (lambda _: None),
         BUDGET.seconds if budget is None else budget,
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.stats import spearmanr
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
-from casid.diagnosis.evidence.residual.force_functions import TIME, variables_of
+from casid.diagnosis.evidence.residual.force_functions import TIME, is_slope, variables_of
 from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.evidence.residual.residual_tests import (
     IN_TIME,
@@ -137,61 +138,66 @@ def unexplained(
     """
     recorded = dict(recorded or {})
     tests = tests or residual_tests(at, experiments, recorded, alpha=alpha, seed=seed)
-    model, fit = at.model, quiet_fit(at)[0]
-    linearised = Linearised(fit.criterion, fit.x)
-    places = [*model.balances, *at.criterion.outputs]
-    found = [
-        missing_force(
-            at,
-            experiments,
-            place,
-            recorded=recorded,
-            alpha=alpha / len(places),
-            with_series=place in model.balances,
-            seed=seed,
-            linearised=linearised,
-        )
-        for place in places
-    ]
-    # Stable: of equal ones, balances come first.
-    found.sort(key=lambda m: -m.score)
+    found = _forces_by_place(at, experiments, recorded, alpha=alpha, seed=seed)
     best = found[0]
-    if best.over_time is None and best.dependences:
-        found[0] = best = missing_force(
-            at,
-            experiments,
-            best.place,
-            recorded=recorded,
-            alpha=alpha / len(places),
-            seed=seed,
-            linearised=linearised,
-        )
     signals = _signals(at, experiments, recorded)
     is_something = tests.verdict != NOISE or bool(best.dependences)
     occurrences: tuple[Occurrence, ...] = ()
     goes_with: tuple[tuple[str, float], ...] = ()
-    if is_something:
-        occurrences, goes_with = _when(at, tests, signals, alpha)
+    sentences = [f"The remainder is consistent with noise (p = {tests.adjusted:.2g})."]
     where = best.place if best.dependences else ""
-    if not best.dependences and is_something and len(model.balances) == 1:
-        balance = next(m for m in found if m.is_balance)
-        where = balance.place if _is_dynamic(at, balance) else ""
+    if is_something:
+        where = where or _only_balance(at, found)
+        occurrences, goes_with = _when(at, tests, signals, alpha)
+        in_time = _in_time(found, occurrences, goes_with, is_one=len(experiments) == 1)
+        sentences = [*_sentences(where, found, tests, alpha), *in_time]
     return Unexplained(
         where=where,
         places=tuple(found),
         tests=tests,
-        sentences=(
-            (
-                *_sentences(where, found, tests, alpha),
-                *_in_time(found, occurrences, goes_with, is_one=len(experiments) == 1),
-            )
-            if is_something
-            else (f"The remainder is consistent with noise (p = {tests.adjusted:.2g}).",)
-        ),
+        sentences=tuple(sentences),
         occurrences=occurrences,
         goes_with=goes_with,
         signals=signals,
     )
+
+
+def _forces_by_place(
+    at: Weighted,
+    experiments: Sequence[Experiment],
+    recorded: Mapping[str, str],
+    *,
+    alpha: float,
+    seed: int,
+) -> list[MissingForce]:
+    """What is missing in every balance and output, the place that explains most first.
+
+    Over time, too, in every balance, and in the first place where functions explain it.
+    """
+    fit = quiet_fit(at)[0]
+    places = [*at.model.balances, *at.criterion.outputs]
+    missing_in = partial(
+        missing_force,
+        at,
+        experiments,
+        recorded=recorded,
+        alpha=alpha / len(places),
+        seed=seed,
+        linearised=Linearised(fit.criterion, fit.x),
+    )
+    found = [missing_in(place, with_series=place in at.model.balances) for place in places]
+    found.sort(key=lambda m: -m.score)  # stable: of equal ones, balances come first
+    if found[0].over_time is None and found[0].dependences:
+        found[0] = missing_in(found[0].place)
+    return found
+
+
+def _only_balance(at: Weighted, found: Sequence[MissingForce]) -> str:
+    """The only balance of a model, where a random force in it explains the spectrum; else empty."""
+    if len(at.model.balances) != 1:
+        return ""
+    balance = next(m for m in found if m.is_balance)
+    return balance.place if _is_dynamic(at, balance) else ""
 
 
 def _is_dynamic(at: Weighted, force: MissingForce) -> bool:
@@ -217,7 +223,7 @@ def _signals(
     for k, d in enumerate(fit.criterion.data):
         sim = fit.criterion.simulated(fit.x, k)
         table = variables_of(fit.criterion, experiments, recorded, k, sim, d)
-        out.append({n: v for n, v in table.items() if not n.startswith("slope of ") and n != TIME})
+        out.append({n: v for n, v in table.items() if not is_slope(n) and n != TIME})
     return tuple(out)
 
 

@@ -23,7 +23,9 @@ from casid.diagnosis.evidence.residual.force_functions import (
     Table,
     has_both_signs,
     hats,
+    is_slope,
     knots_of,
+    slope_of,
     splines,
     units_of,
     variables_of,
@@ -37,6 +39,7 @@ from casid.diagnosis.unexplained.variables import variable_words
 from casid.estimation.feedback import slope
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.simulation.minimization import Fit
+from casid.model.model import Model
 
 SINE = "a sine in time"
 """Name of what repeats at a line of the spectrum."""
@@ -158,11 +161,9 @@ def missing_force(
     require_place(criterion, balance)
     linearised = linearised or Linearised(criterion, x)
     joined = joined_table(fit, experiments, recorded, balance)
-    over_time = (
-        smoothed_force(criterion, x, noise, balance, at.input_sd, linearised)
-        if with_series
-        else None
-    )
+    over_time = None
+    if with_series:
+        over_time = smoothed_force(criterion, x, noise, balance, at.input_sd, linearised)
     line = over_time.spectrum.line if over_time is not None else None
     groups, knots = candidate_groups(fit, joined, balance, line)
     regression = Regression(
@@ -177,30 +178,27 @@ def missing_force(
         seed=seed,
     )
     terms = _select_terms(regression, at.full, alpha=alpha)
-    chosen = terms.chosen
-    total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
-    dependences = _describe(regression, terms, joined, knots, total)
-    units = units_of(criterion.model, recorded)
+    dependences = _describe(regression, terms, joined, knots)
     own = {v for g in groups for v in g.names}
-    model = criterion.model
-    is_balance = balance in model.balances
+    known, free = units_of(criterion.model, recorded), own - terms.dependent
     return MissingForce(
         place=balance,
-        unit=model.balances[balance].unit if is_balance else model.outputs[balance][1],
-        is_balance=is_balance,
-        units={v: units.get(v, "") for v in own},
+        unit=_unit_in(criterion.model, balance),
+        is_balance=balance in criterion.model.balances,
+        units={v: known.get(v, "") for v in own},
         misfit=regression.misfit,
         misfit_sd=regression.misfit_sd,
         explained=float(min(sum(d.share for d in dependences), 1.0)),
-        score=sum(t.gain - terms.charge * t.rank for t in chosen),
+        score=sum(t.gain - terms.charge * t.rank for t in terms.chosen),
         dependences=dependences,
-        independent_of=tuple(
-            v
-            for v in joined
-            if v in own and v not in terms.dependent and not v.startswith("slope of ")
-        ),
+        independent_of=tuple(v for v in joined if v in free and not is_slope(v)),
         over_time=over_time,
     )
+
+
+def _unit_in(model: Model, place: str) -> str:
+    """The unit of a force in a balance, or of an error of an output."""
+    return model.balances[place].unit if place in model.balances else model.outputs[place][1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,7 +285,7 @@ def joined_table(
         if place in criterion.outputs:
             y = sim.y[:, criterion.outputs.index(place)]
             own = slope(y, d.Ts, backward=False, anew=criterion.starts_anew(k))
-            table |= {place: y, f"slope of {place}": own}
+            table |= {place: y, slope_of(place): own}
         tables.append(table)
     joined = {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}
     return {name: v for name, v in joined.items() if np.ptp(v) > 1e-12 * np.max(np.abs(v))}
@@ -320,14 +318,14 @@ def candidate_groups(
         found = 2 * np.pi * np.array([line - apart, line, line + apart])
         groups.append(Group((SINE,), lambda t: _sines(t[TIME], found)))
     for name in joined:
-        if name.startswith("slope of "):
+        if is_slope(name):
             groups.append(Group((name,), lambda t, name=name: t[name][:, None]))  # type: ignore[misc]
         else:
             add((name,), FUNCTIONS.bends)
     carriers = [*model.states, *model.inputs] if is_balance else [place]
     for carrier in carriers:
         for name in joined:
-            if name != carrier and carrier in joined and not name.startswith("slope of "):
+            if name != carrier and carrier in joined and not is_slope(name):
                 add((carrier, name), FUNCTIONS.product_bends)
     return groups, knots
 
@@ -352,11 +350,12 @@ def _describe(
     terms: _Terms,
     joined: Table,
     knots: Mapping[tuple[str, ...], Array],
-    total: float,
 ) -> tuple[Dependence, ...]:
+    """The terms in the order in which they were taken in, with their shares of the misfit."""
     chosen = terms.chosen
     if not chosen:
         return ()
+    total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
     coefficients, covariance = regression.estimate([t.group for t in chosen])
     out, first = [], 0
     for k, t in enumerate(chosen):
@@ -366,7 +365,7 @@ def _describe(
         first += width
         parity, power, size = "", None, 0.0
         names = group.names
-        if names and (names[-1] in (TIME, SINE) or names[-1].startswith("slope of ")):
+        if names and (names[-1] in (TIME, SINE) or is_slope(names[-1])):
             names = ()
         if names:
             others = [regression.groups[o.group] for o in chosen if o is not t]

@@ -101,10 +101,7 @@ def gain_figure(diagnosis: Diagnosis) -> Any:
                 textposition="outside",
                 constraintext="none",
                 cliponaxis=False,
-                marker={
-                    "color": colour,
-                    "pattern": {"shape": pattern, "fgcolor": "#ffffff", "fillmode": "overlay"},
-                },
+                marker=_bar_look(colour, pattern),
                 hovertemplate=f"%{{y:.4g}} {figure_text(unit)}",
             )
         if top > 0:
@@ -115,6 +112,12 @@ def gain_figure(diagnosis: Diagnosis) -> Any:
     caption = f"Root mean square simulation error of {visible_text(diagnosis.problem)}"
     caption += ", before and after the extension" if diagnosis.extended else ""
     return figure.done(caption + ", against the noise floor where it is known.", ())
+
+
+def _bar_look(colour: str, pattern: str) -> dict[str, Any]:
+    """The colour of a bar, and the white pattern on it that tells it apart without colours."""
+    lines = {"shape": pattern, "fgcolor": "#ffffff", "fillmode": "overlay"}
+    return {"color": colour, "pattern": lines}
 
 
 def _noise_floor(diagnosis: Diagnosis) -> Mapping[str, float]:

@@ -92,28 +92,24 @@ def find_spikes(
     together = np.concatenate([d[1:-1] / s for d, s in zip(differences, sds, strict=True) if s > 0])
     fourth = fourth_moment_deviate(together)
     if _is_white(differences) and float(norm.sf(fourth)) < alpha:
-        cut = _mixture_cut(together, largest_share)
-        if cut is not None:
+        if (cut := _mixture_cut(together, largest_share)) is not None:
             threshold = min(threshold, cut)
             p = min(p, float(norm.sf(fourth)))
-    masks = [
-        _tops(d, sd, threshold, may_last)
-        for d, sd, may_last in zip_longest(differences, sds, behind)
-    ]
+    tops = zip_longest(differences, sds, behind)
+    masks = [_tops(d, sd, threshold, may_last) for d, sd, may_last in tops]
     for mask, response in zip(masks, _responses(masks, inputs, alpha), strict=False):
         mask &= ~response
     for mask, d, y in zip(masks, differences, simulated, strict=False):
         mask &= ~_is_of_model(d, from_neighbours(y), threshold)
     heights = [np.abs(d[mask]) for d, mask in zip(differences, masks, strict=True)]
-    count = int(sum(m.sum() for m in masks))
-    if count == 0 or count > largest_share * total:
-        return None
     height = np.concatenate(heights)
+    if not 0 < height.size <= largest_share * total:
+        return None
     return Spikes(
         channel=channel,
         masks=tuple(masks),
-        count=count,
-        share=count / total,
+        count=height.size,
+        share=height.size / total,
         size=float(np.median(height)),
         energy=float(np.sum(height**2)),
         p_value=float(min(1.0, max(p, TINY))),

@@ -11,9 +11,7 @@ from scipy.interpolate import CubicSpline
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.thresholds import FUNCTIONS
-from casid.estimation.feedback import (
-    slope,
-)
+from casid.estimation.feedback import slope
 from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import Simulated, SimulationError
 from casid.model.model import Model
@@ -22,6 +20,18 @@ Table = Mapping[str, Array]  # variable -> (N,) of one record
 
 TIME = "time"
 """Name of the variable that runs on from record to record."""
+
+_SLOPE_OF = "slope of "
+
+
+def slope_of(name: str) -> str:
+    """Name of the variable that is the slope of another; a delayed input carries its own so."""
+    return _SLOPE_OF + name
+
+
+def is_slope(name: str) -> bool:
+    """True of a variable that is the slope of another."""
+    return name.startswith(_SLOPE_OF)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,11 +54,11 @@ def variables_of(
     model = criterion.model
     out = {name: at.x[: signals.N, i] for i, name in enumerate(model.states)}
     for i, name in enumerate(model.inputs):
-        if not name.startswith("slope of "):
+        if not is_slope(name):
             out[name] = signals.u[:, i]
             # In closed loop the next command is made of the noise of the next sample.
             is_held = "zoh" in model.inputs[name].holds
-            out[f"slope of {name}"] = slope(signals.u[:, i], signals.Ts, backward=is_held)
+            out[slope_of(name)] = slope(signals.u[:, i], signals.Ts, backward=is_held)
     for name in recorded:
         out.setdefault(name, np.asarray(experiments[experiment].record[name]))
     before = sum(d.N * d.Ts for d in criterion.data[:experiment])
@@ -62,7 +72,7 @@ def units_of(model: Model, recorded: Mapping[str, str]) -> dict[str, str]:
     out |= {name: entry.unit for name, entry in model.inputs.items()}
     out |= {name: unit for name, unit in recorded.items() if name not in out}
     out |= {name: unit for name, (_, unit) in model.outputs.items()}
-    out |= {f"slope of {name}": f"({unit})/s" for name, unit in list(out.items())}
+    out |= {slope_of(name): f"({unit})/s" for name, unit in list(out.items())}
     out[TIME] = "s"
     return out
 

@@ -148,26 +148,8 @@ def residual_tests(
     """
     fit = at.unbiased or at.fit
     criterion, x = fit.criterion, fit.x
-    places = [*criterion.model.balances, *criterion.outputs]
-    whitened: list[Array] = []
-    p_dependence, correlated = 1.0, None
-    for place, named, regression in regressions(at, experiments, recorded, seed=seed):
-        if not whitened:
-            ends = np.cumsum([0, *(d.N * len(criterion.outputs) for d in criterion.data)])
-            whitened = [
-                regression.e[a:b].reshape(-1, len(criterion.outputs))
-                for a, b in zip(ends[:-1], ends[1:], strict=True)
-            ]
-        tested = regression.test()
-        if not tested:
-            continue
-        best = min(tested, key=lambda t: t.p_value)
-        p = min(1.0, len(places) * best.adjusted)
-        share = _share(regression) if p < max(alpha, RESIDUAL.share_p) else 0.0
-        better = correlated is None or (p, -share) < (correlated.p_value, -correlated.share)
-        if better:
-            p_dependence = p
-            correlated = Correlated(place, named[best.group], p, share)
+    whitened, correlated = _correlated(at, experiments, recorded, alpha=alpha, seed=seed)
+    p_dependence = 1.0 if correlated is None else correlated.p_value
     # Gaps would pass for a residual that is too small, in samples and frequencies.
     whitened = [at.noise.completed(white, k) for k, white in enumerate(whitened)]
     bands, p_spectrum = spectral_bands(criterion.outputs, whitened, [d.Ts for d in criterion.data])
@@ -192,6 +174,35 @@ def residual_tests(
         p_power=p_power,
         p_amplitude=p_amplitude,
     )
+
+
+def _correlated(
+    at: Weighted,
+    experiments: Sequence[Experiment],
+    recorded: Mapping[str, str] | None,
+    *,
+    alpha: float,
+    seed: int,
+) -> tuple[list[Array], Correlated | None]:
+    """The whitened residual, (N, ny) a record, and what it is correlated with most."""
+    criterion = (at.unbiased or at.fit).criterion
+    ny, places = len(criterion.outputs), [*criterion.model.balances, *criterion.outputs]
+    whitened: list[Array] = []
+    found: Correlated | None = None
+    for place, named, regression in regressions(at, experiments, recorded, seed=seed):
+        if not whitened:
+            ends = np.cumsum([0, *(d.N * ny for d in criterion.data)])
+            parts = zip(ends[:-1], ends[1:], strict=True)
+            whitened = [regression.e[a:b].reshape(-1, ny) for a, b in parts]
+        tested = regression.test()
+        if not tested:
+            continue
+        best = min(tested, key=lambda t: t.p_value)
+        p = min(1.0, len(places) * best.adjusted)
+        share = _share(regression) if p < max(alpha, RESIDUAL.share_p) else 0.0
+        if found is None or (p, -share) < (found.p_value, -found.share):
+            found = Correlated(place, named[best.group], p, share)
+    return whitened, found
 
 
 def _verdict(

@@ -19,16 +19,12 @@ from scipy.stats import f as fisher
 
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
-from casid.diagnosis.evidence.residual.force_functions import Group, variables_of
+from casid.diagnosis.evidence.residual.force_functions import Group, slope_of, variables_of
 from casid.diagnosis.evidence.residual.linearised_path import Linearised, Motion
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
-from casid.estimation.feedback import (
-    not_felt_yet,
-    one_sample_late,
-    slope,
-)
+from casid.estimation.feedback import not_felt_yet, one_sample_late, slope
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.thresholds import REMOVAL
 from casid.estimation.simulation.minimization import Fit
@@ -139,7 +135,7 @@ class Regression:
         if self.place in criterion.outputs:
             y = at.y[:, criterion.outputs.index(self.place)]
             own = slope(y, d.Ts, backward=bool(self._late), anew=criterion.starts_anew(k))
-            table |= {self.place: y, f"slope of {self.place}": own}
+            table |= {self.place: y, slope_of(self.place): own}
             table |= {name: one_sample_late(table[name]) for name in self._late}
             of_late = {f"slope of {name}": name for name in self._late}
             table |= {

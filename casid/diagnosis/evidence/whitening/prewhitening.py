@@ -17,11 +17,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.scores.score_tests import step_without_bias
 from casid.diagnosis.evidence.scores.window_states import left_by_states, states_of_windows
-from casid.diagnosis.evidence.whitening.fit_points import (
-    is_at_bound,
-    moved,
-    use_samples_of,
-)
+from casid.diagnosis.evidence.whitening.fit_points import is_at_bound, moved, use_samples_of
 from casid.diagnosis.solvers import NEAR
 from casid.diagnosis.thresholds import PREWHITENING, RESTARTS
 from casid.errors import CasidError
@@ -316,7 +312,7 @@ class Weighing:
         ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
         limit = max(PREWHITENING.absorbs_misfit**2, 1 + PREWHITENING.absorbs_spreads * spread)
         noise_absorbs_misfit = ratio > limit and not self.takes_disturbances
-        if noise_absorbs_misfit and (alone := self._without_forces(fit, full)) is not None:
+        if noise_absorbs_misfit and (alone := self._sensors_alone(fit, full)) is not None:
             full, noise_absorbs_misfit = alone, False
             input_sd = {n: share * sd for n, sd in self.input_sd(full, fit.criterion).items()}
         return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
@@ -342,7 +338,7 @@ class Weighing:
         least = self.minimum(criterion)
         return replace(at, fit=least, noise=noise, full=noise, unbiased=unbiased)
 
-    def _without_forces(self, fit: Fit, full: NoiseModel) -> NoiseModel | None:
+    def _sensors_alone(self, fit: Fit, full: NoiseModel) -> NoiseModel | None:
         """The noise of sensors and inputs alone, where the residual shows no more than that.
 
         A force that an accelerometer feels at once is as white there as its sensor's own noise, and
