@@ -97,7 +97,20 @@ class NewProblem:
                 lines.append(f"  {head:<9} {name} from {column}")
         lines += [f"  {'left out':<9} {column}: {why}" for column, why in self.left_out.items()]
         lines += [f"  {'check':<9} line {n}: {what}" for n, what in self.checks.items()]
-        return "\n".join([*lines, "next:", *(f"  {command}" for command in self.commands)])
+        return "\n".join(
+            [*lines, "next:", *(f"  {step}" for step in (*self._edit, *self.commands))]
+        )
+
+    @property
+    def _edit(self) -> tuple[str, ...]:
+        """What to write in the file before the commands: lags are placeholders."""
+        if self.template != "free":
+            return ()
+        others = ", ".join(name for name in TEMPLATES if name != "free")
+        return (
+            f"put your own equations in place of the lags in {self.path or 'the file'},",
+            f"  or begin with those of a template: --as {others}",
+        )
 
 
 @names_wrong_types()

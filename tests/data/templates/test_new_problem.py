@@ -340,3 +340,12 @@ def test_a_column_computed_from_another_is_no_signal_of_its_own(tmp_path: Path) 
     assert found.left_out == dict.fromkeys(
         ("-rudder", "delta [rad]"), "it is 'rudder' on another scale"
     )
+
+
+def test_that_lags_are_placeholders_is_the_first_step_that_is_printed(tmp_path: Path) -> None:
+    """The lags of `free` simulate any file, and are a model of none; a template's equations are."""
+    data = written_for(tmp_path, "time [s],F [N],x [m]", *waves(2))
+    steps = str(casid.new_problem(data, "free", tmp_path / "rig.py")).partition("next:\n")[2]
+    assert steps.startswith("  put your own equations in place of the lags in ")
+    assert "or begin with those of a template: --as mass-spring-damper, " in steps
+    assert "of the lags" not in str(casid.new_problem(data, "mass-spring-damper"))
