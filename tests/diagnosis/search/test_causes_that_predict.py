@@ -1,6 +1,11 @@
-"""Where causes predict what was held out and leave what is no disturbance, none is sought."""
+"""Where causes predict what was held out and leave what is no disturbance, none is sought.
+
+What a search beside one has found before is compared all the same.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +13,10 @@ import pytest
 import casid
 from casid.diagnosis.evidence.baseline import fit_baseline
 from casid.diagnosis.search.noise_assumptions import disturbance_rival
-from casid.diagnosis.search.noise_assumptions.disturbance_rival import weighed_against_disturbances
+from casid.diagnosis.search.noise_assumptions.disturbance_rival import (
+    searched_beside,
+    weighed_against_disturbances,
+)
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings
@@ -32,8 +40,8 @@ def mass() -> casid.Problem:
     return casid.Problem("mass", m)
 
 
-def record() -> casid.Record:
-    """A spring that stiffens, and dry friction."""
+def record(friction: float = 0.4, drag: float = 0.0) -> casid.Record:
+    """A spring that stiffens, and dry friction or a drag."""
     rng, parts = np.random.default_rng(5), 10
     h = TS / parts
     F = np.repeat(20.0 * rng.standard_normal(N // 15), 15)
@@ -41,7 +49,8 @@ def record() -> casid.Record:
     for i in range(N * parts):
         if i % parts == 0:
             path[i // parts] = x
-        force = F[i // parts] - 1.2 * v - 40.0 * x - 400.0 * x**3 - 0.4 * np.tanh(v / 1e-3)
+        force = F[i // parts] - 1.2 * v - 40.0 * x - 400.0 * x**3 - friction * np.tanh(v / 1e-3)
+        force -= drag * abs(v) * v
         v += h * force / 1.5
         x += h * v
     path += 1e-4 * rng.standard_normal(N)
@@ -66,3 +75,23 @@ def test_nothing_is_sought_beside_a_disturbance_where_causes_predict(monkeypatch
     *_, after = weighed_against_disturbances(search, found, baseline, settings)
     assert [a.candidate.effect.kind for a in after.adopted] == ["cubic_stiffness"]
     assert any("treat the remainder as a disturbance" in s for s in said) != predicts
+
+
+@pytest.mark.slow
+def test_causes_found_beside_a_disturbance_before_are_named_if_they_predict_better():
+    """Both searches are as in the diagnosis; the one under the sensors' noise ends with a spring."""
+    split = split_records([casid.Experiment(record(0.0, 2.0), {}, "r")], 0.3)
+    settings = DiagnosisSettings(fit=FitSettings(starts=1))
+    baseline = fit_baseline(mass(), split, settings)
+    without = set(KINDS) - {"cubic_stiffness", "quadratic_damping"}
+    search = Search(baseline.weighing, {}, max_causes=1, without=without)
+    found = adopt_causes(search, baseline.start, baseline.fit, split, settings.refit)
+    again = replace(search, weighing=baseline.weighing.with_disturbances(), max_causes=2)
+    beside = searched_beside(again, again.under_disturbance(baseline.fit), baseline, settings)
+    *_, after = weighed_against_disturbances(search, found, baseline, settings, beside)
+    assert kinds(found) == ["cubic_stiffness"]
+    assert kinds(after) == ["cubic_stiffness", "quadratic_damping"]
+
+
+def kinds(found):
+    return sorted(a.candidate.effect.kind for a in found.adopted)

@@ -137,9 +137,14 @@ def weighed_against_disturbances(
         is_random = (may_be_random and nothing <= score) or not _is_significant(charged, search)
         if not found.at.noise_absorbs_misfit and not is_random:
             return search, start, charged
-        if not is_random and is_all_but_predicted(*errors) and is_more_than_noise(own, again):
-            return search, start, charged  # what little is left is no disturbance
         found = charged
+        if not is_random and is_all_but_predicted(*errors) and is_more_than_noise(own, again):
+            # What little is left is no disturbance: no search beside one is made for it.
+            if before is None or not before.score < score:
+                return search, start, found
+            if not (before.is_likelier and _predicts_better(found, before.found, baseline.split)):
+                return search, start, found
+            return replace(before.search, refused=search.refused), before.bare, before.found
     beside = before if before is not None and before.of is bare else None
     beside = beside or searched_beside(again, bare, baseline, settings)
     _add_refused(search, beside.search.refused)
