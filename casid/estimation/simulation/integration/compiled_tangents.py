@@ -64,6 +64,7 @@ void loop(const formula *rate, const formula *out, const formula *late, const lo
   double *here = room, *point = here + nx, *k = point + nx, *mean = k + nx;
   double *dk = mean + nx, *dmean = dk + all, *reached = dmean + all, *found = reached + all;
   long long n, i, j, s;
+  const unsigned long long before = flush_subnormal();
   for (n = 0; n < count; ++n) {
     const double *at_n = places + n * substeps * 3 * at;
     const double *u_n = u + n * nu, *next_n = u_next + n * nu;
@@ -92,6 +93,7 @@ void loop(const formula *rate, const formula *out, const formula *late, const lo
       along(late, found, state, nf, width, dlate + n * late->rows * width);
     }
   }
+  restore(before);
 }
 """
 _ARGUMENTS = (*[ctypes.c_void_p] * 9, ctypes.c_double, *[ctypes.c_void_p] * 4)

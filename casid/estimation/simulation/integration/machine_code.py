@@ -1,7 +1,8 @@
 """Steps of a simulation as machine code, on machines that have a C compiler.
 
 CasADi interprets a step operation by operation. Compiled, the same operations follow one another in
-the same order, to the same result, in about a tenth of the time. Compiling pays where a step is
+the same order, to the same result but for numbers below 2.3e-308, which are zero, in about a tenth
+of the time. Compiling pays where a step is
 taken often: it begins when the interpreter has taken about as long as the compiler will. What was
 compiled is kept in a folder of the user's, one file a formula: the numbers in a formula (sample
 time, scale of an effect, instant of a jump) are arguments, so that other records find it again. The
@@ -95,6 +96,31 @@ LOOP_BEGINS = (
 typedef int (*step_t)(const double **, double **, long long *, double *, int);
 """
     + _EXPORTED
+    + """
+/* Sensitivities to the beginning of a long record decay until they are subnormal, where an operation
+   takes a hundred times as long: until `restore` is called, such numbers are zero. */
+#if defined(__x86_64__)
+static unsigned long long flush_subnormal(void) {
+  const unsigned before = __builtin_ia32_stmxcsr();
+  __builtin_ia32_ldmxcsr(before | 0x8040);
+  return before;
+}
+static void restore(unsigned long long before) { __builtin_ia32_ldmxcsr((unsigned)before); }
+#elif defined(__aarch64__)
+static unsigned long long flush_subnormal(void) {
+  unsigned long long before;
+  __asm__ __volatile__("mrs %0, fpcr" : "=r"(before));
+  __asm__ __volatile__("msr fpcr, %0" : : "r"(before | 1ull << 24));
+  return before;
+}
+static void restore(unsigned long long before) {
+  __asm__ __volatile__("msr fpcr, %0" : : "r"(before));
+}
+#else
+static unsigned long long flush_subnormal(void) { return 0; }
+static void restore(unsigned long long before) { (void)before; }
+#endif
+"""
 )
 """Before the EXPORTED function `loop` of a C text, which calls formulas."""
 
@@ -113,6 +139,7 @@ void loop(step_t step, const long long *sizes, long long count, long long subste
   double *within = half + n_state, *spare = within + 3 * (1 + nb);
   long long k, i, j;
   int is_easy;
+  const unsigned long long before = flush_subnormal();
   arg[3] = p;
   for (k = 0; k < count; ++k) {
     arg[0] = state; arg[1] = u + k * width; arg[2] = after + k * nu; arg[4] = within;
@@ -149,6 +176,7 @@ void loop(step_t step, const long long *sizes, long long count, long long subste
     }
     for (j = 0; j < nx; ++j) kept[k * nx + j] = next[j];
   }
+  restore(before);
 }
 """
 """Through samples with any step: compiled once."""

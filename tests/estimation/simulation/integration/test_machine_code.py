@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from casid.arrays import Array
 from casid.compiler import compiler
 from casid.estimation.simulation.integration import machine_code
 from casid.estimation.simulation.integration.machine_code import cache_folder
@@ -81,6 +82,25 @@ def test_numbers_of_a_formula_are_no_part_of_its_code(
     assert len(list(cache.glob("*.so"))) == 1
     assert_same(slow, interpreted(monkeypatch))
     assert_same(fast, interpreted(monkeypatch, TS / 2))
+
+
+@needs_compiler
+def test_a_beginning_that_has_decayed_to_a_subnormal_number_is_zero(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Damped critically, d = 2 sqrt(m k), at 5 1/s: below 1e-308 after 142 s. Only in the loop."""
+    smallest, p, rest = np.finfo(float).tiny, np.array([M, 20.0, K]), np.zeros((3000, 1))
+
+    def from_the_beginning() -> Array:
+        found = Simulator(oscillator(), TS, FREE).sensitivities(rest, p, X0)
+        return found.dy[-20:, 0, -2:]
+
+    compiled = from_the_beginning()
+    monkeypatch.setenv("CASID_CACHE", "")
+    interpreted = from_the_beginning()
+    assert np.all((interpreted != 0.0) & (np.abs(interpreted) < smallest))
+    assert np.all(compiled == 0.0)
+    assert 0.5 * smallest > 0.0
 
 
 @needs_compiler
