@@ -79,7 +79,7 @@ def test_nothing_is_sought_beside_a_disturbance_where_causes_predict(monkeypatch
 
 @pytest.mark.slow
 def test_causes_found_beside_a_disturbance_before_are_named_if_they_predict_better():
-    """Both searches are as in the diagnosis; the one under the sensors' noise ends with a spring."""
+    """The search under the sensors' noise is held to one cause, a spring. There is a drag, too."""
     split = split_records([casid.Experiment(record(0.0, 2.0), {}, "r")], 0.3)
     settings = DiagnosisSettings(fit=FitSettings(starts=1))
     baseline = fit_baseline(mass(), split, settings)

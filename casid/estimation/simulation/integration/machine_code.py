@@ -97,8 +97,8 @@ typedef int (*step_t)(const double **, double **, long long *, double *, int);
 """
     + _EXPORTED
     + """
-/* Sensitivities to the beginning of a long record decay until they are subnormal, where an operation
-   takes a hundred times as long: until `restore` is called, such numbers are zero. */
+/* Sensitivities to the beginning of a long record decay until they are subnormal, where an
+   operation takes a hundred times as long: until `restore` is called, such numbers are zero. */
 #if defined(__x86_64__)
 static unsigned long long flush_subnormal(void) {
   const unsigned before = __builtin_ia32_stmxcsr();
