@@ -47,6 +47,8 @@ def total_least_squares(
     whole = [criterion.parts(e) == 1 for e in range(len(criterion.data))]
     if not all(whole) or signals is None or not any(noise.source_sd.values()):
         return None
+    if not _may_lead_astray(criterion, starts, noise):
+        return None
     of = list(range(len(criterion.outputs)))
     quiet = [white_floor([d.y[d.used[:, i], i] for d in criterion.data]) for i in of]
     # Far from the truth a residual says too much of them, or next to nothing.
@@ -67,6 +69,26 @@ def total_least_squares(
         if at.value < least:
             least, x = at.value, there
     return None if x is None else _with_states(criterion, x, replace(noise, output_sd=output_sd))
+
+
+def _may_lead_astray(
+    criterion: SimulationError, starts: Sequence[Array], noise: NoiseModel
+) -> bool:
+    """Whether least squares may have left the truth to answer less to the noise of the inputs.
+
+    At most the squares that this noise adds to the residual are to be gained by that: where they
+    are less than `FAR_ROOT.nearer` in units of what is left, whatever else that is, it stays.
+    """
+    for e, d in enumerate(criterion.data):
+        residual = np.where(d.used, criterion.simulated(starts[0], e).residual, 0.0)
+        left = np.sum(residual**2, axis=0) / np.maximum(d.used.sum(axis=0), 1)
+        for x in starts:
+            r = noise_response(criterion, x, e, is_beside=x is not starts[0])
+            sd = np.array([noise.source_sd.get(name, 0.0) for name in r.sources])
+            added = np.mean(r.gain2 @ sd**2, axis=0)
+            if not np.all(added * np.sum(d.used) < 2 * FAR_ROOT.nearer * left):
+                return True
+    return False
 
 
 class _TotalLeastSquares(ModelSpectra):

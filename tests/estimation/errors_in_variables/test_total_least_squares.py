@@ -79,6 +79,16 @@ def test_next_to_the_root_there_is_nowhere_better_to_begin() -> None:
     assert total_least_squares(found.fit.criterion, [found.fit.x], found.noise) is None
 
 
+def test_noise_on_the_inputs_that_adds_next_to_nothing_has_led_nowhere() -> None:
+    """The stiffness is a tenth, and the wind is measured a thousand times as well as it is."""
+    c = least_squares(ASTRAY).criterion
+    x = declared(c)
+    x[c.names.index("k")] *= 0.1
+    sd = input_noise(c, x, {}).sd["V"] / 1000.0
+    noise = input_noise(c, x, {"V": sd})
+    assert total_least_squares(c, [x], noise.noise.quiet(noise.sd)) is None
+
+
 def test_without_noise_on_the_inputs_there_is_none() -> None:
     c = least_squares(0).criterion
     noise = input_noise(c, declared(c), {"V": 0.0})
