@@ -20,8 +20,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.fft import rfft
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.estimation.noise.model_spectra import ModelSpectra, completed
 from casid.estimation.noise.noise_floor import white_floor
 from casid.estimation.noise.noise_model import NoiseModel
@@ -76,8 +77,9 @@ def _may_lead_astray(
 ) -> bool:
     """Whether least squares may have left the truth to answer less to the noise of the inputs.
 
-    At most the squares that this noise adds to the residual are to be gained by that: where they
-    are less than `FAR_ROOT.nearer` in units of what is left, whatever else that is, it stays.
+    Of noise with the spectrum N in a motion with the spectrum S, the most that any other response
+    takes from the squares is N^2 / (S + N), as Wiener's filter does. Where all of it is less than
+    `FAR_ROOT.nearer` in units of what is left, whatever else that is, it stays.
     """
     for e, d in enumerate(criterion.data):
         residual = np.where(d.used, criterion.simulated(starts[0], e).residual, 0.0)
@@ -85,8 +87,12 @@ def _may_lead_astray(
         for x in starts:
             r = noise_response(criterion, x, e, is_beside=x is not starts[0])
             sd = np.array([noise.source_sd.get(name, 0.0) for name in r.sources])
-            added = np.mean(r.gain2 @ sd**2, axis=0)
-            if not np.all(added * np.sum(d.used) < 2 * FAR_ROOT.nearer * left):
+            passed = r.gain2 @ sd**2
+            y, taper = criterion.simulate(x, e)[0], np.hanning(d.N)[:, None]
+            moved = rfft(taper * (y - y.mean(axis=0)), 2 * (len(r.omega) - 1), axis=0)
+            motion = np.abs(moved) ** 2 / np.sum(taper**2)
+            gained = np.mean(passed**2 / np.maximum(motion + passed, TINY), axis=0)
+            if not np.all(gained * np.sum(d.used) < 2 * FAR_ROOT.nearer * left):
                 return True
     return False
 
