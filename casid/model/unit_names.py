@@ -286,6 +286,8 @@ ALIASES: dict[str, str] = {
     "mps2": "m/s^2",
     "mpss": "m/s^2",
     "g_0": "g0",
+    "gn": "g0",
+    "g_n": "g0",
     "gee": "g0",
     "sec": "s",
     "second": "s",

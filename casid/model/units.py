@@ -47,9 +47,10 @@ class Unit:
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _TOKEN = re.compile(
-    r"\s*(?:(?P<name>(?:g_?0|mps2|degps2|radps2)(?![\w])|[A-Za-z°µμΩ%‰]+|1(?![\d.]))"
+    r"\s*(?:(?:(?P<name>(?:g_?[0n]|mps2|degps2|radps2)(?![\w])|[A-Za-z°µμΩ%‰]+|1(?![\d.]))"
+    r"|\((?P<product>[^()]*(?:\([^()]*\)[^()]*)*)\))"
     r"(?P<power>(?:\s*(?:\^|\*\*)\s*(?:\(\s*[-+]?[\d./]+\s*\)|[-+]?\d+(?:\.\d+)?))|-?\d+)?"
-    r"|(?P<op>\*\*|[*/()·⋅]|\.(?=[A-Za-z°µμΩ])))"
+    r"|(?P<op>\*\*|[*/·⋅]|\.(?=[A-Za-z°µμΩ])))"
 )
 _Terms = list[tuple[str, Fraction]]
 
@@ -58,8 +59,8 @@ def parse_unit(text: str) -> Unit:
     """Read a unit such as `deg/s`, `kN`, `N m s^2/rad^2` or `kg m^2`.
 
     Products are written with a space, `*`, a dot or a middle dot; powers with `^`, `**`, a
-    superscript or a plain digit (`m/s2`); one quotient, with brackets where the denominator is a
-    product.
+    superscript or a plain digit (`m/s2`), also of a product or quotient in brackets
+    (`N/(rad/s)^2`); one quotient, with brackets where the denominator is a product.
 
     Returns
     -------
@@ -113,21 +114,7 @@ def _terms(text: str) -> _Terms:
         cleaned = ALIASES[cleaned]
     if cleaned in NAMES:
         return [(cleaned, Fraction(1))]
-    cleaned = _with_grams(cleaned)
-
-    reader = _UnitReader(text)
-    position = 0
-    while position < len(cleaned):
-        token = _TOKEN.match(cleaned, position)
-        if token is None or token.end() == position:
-            if not cleaned[position:].strip():
-                break
-            raise _malformed(text, cleaned[position:].strip())
-        position = token.end()
-        reader.read(token)
-    if reader.is_in_brackets or reader.expects_factor:
-        raise _malformed(text, cleaned[-1:] or cleaned)
-    return _settled(reader.terms, text)
+    return _settled(_UnitReader(text).terms_of(_with_grams(cleaned)), text)
 
 
 def _settled(terms: _Terms, text: str) -> _Terms:
@@ -149,49 +136,61 @@ class _UnitReader:
 
     def __init__(self, text: str) -> None:
         self.text = text
-        self.terms: _Terms = []
-        self.expects_factor, self.is_in_brackets = True, False
+        self._terms: _Terms = []
+        self._expects_factor = True
         self._sign = 1  # of the powers: -1 behind the slash
         self._after_quotient = False  # a further factor might be above or below the line
 
-    def read(self, token: re.Match[str]) -> None:
-        """Take in the next operator or factor."""
-        operator = token.group("op")
-        if operator is None:
-            self._factor(token.group("name"), token.group("power"))
-            return
-        allowed = {
-            "/": not (self.expects_factor or self.is_in_brackets),
-            "(": self.expects_factor and not self.is_in_brackets,
-            ")": self.is_in_brackets and not self.expects_factor,
-            "**": False,
-        }
-        if not allowed.get(operator, not self.expects_factor):
-            raise _malformed(self.text, operator)
-        if operator == "/":
-            self._sign, self.expects_factor, self._after_quotient = -1, True, False
-        elif operator == "(":
-            self.is_in_brackets = True
-        elif operator == ")":
-            self.is_in_brackets, self._after_quotient = False, self._sign < 0
-        else:
-            self.expects_factor = True
+    def terms_of(self, part: str) -> _Terms:
+        """The factors in `part`, the unit's whole text or what stands in brackets."""
+        position = 0
+        while part[position:].strip():
+            token = _TOKEN.match(part, position)
+            if token is None:
+                raise _malformed(self.text, part[position:].strip())
+            position = token.end()
+            self._read(token)
+        if self._expects_factor:
+            raise _malformed(self.text, part[-1:] or "()")
+        return self._terms
 
-    def _factor(self, name: str, power: str | None) -> None:
+    def _read(self, token: re.Match[str]) -> None:
+        """Take in the next operator, factor, or product in brackets."""
+        operator, power = token.group("op"), token.group("power")
+        if operator is not None:
+            self._operator(operator)
+        elif token.group("product") is not None:
+            product = _UnitReader(self.text).terms_of(token.group("product"))
+            self._take(token.group(0).strip(), product, power)
+        else:
+            name = token.group("name")
+            self._take(name, _factor(name, self.text), power)
+
+    def _operator(self, operator: str) -> None:
+        if self._expects_factor or operator == "**":
+            raise _malformed(self.text, operator)
+        self._expects_factor = True
+        if operator == "/":
+            self._sign, self._after_quotient = -1, False
+
+    def _take(self, written: str, factors: _Terms, power: str | None) -> None:
         if self._after_quotient:
             raise UnitError(
-                f"unit {self.text!r} can be read in two ways: is {name!r} above or "
+                f"unit {self.text!r} can be read in two ways: is {written!r} above or "
                 "below the line? Write the denominator last, in brackets where it is a "
                 "product, for example 'N s/m' or 'N/(m s)'."
             )
         exponent = _power(power, self.text) * self._sign
-        known = name if name in AMBIGUOUS else _lookup(name, self.text)
-        if "/" in known or "^" in known:  # aliases such as degps
-            self.terms += [(n, p * exponent) for n, p in _terms(known)]
-        elif known != "1":
-            self.terms.append((known, exponent))
-        self.expects_factor = False
-        self._after_quotient = self._sign < 0 and not self.is_in_brackets
+        self._terms += [(name, p * exponent) for name, p in factors]
+        self._expects_factor = False
+        self._after_quotient = self._sign < 0
+
+
+def _factor(name: str, text: str) -> _Terms:
+    known = name if name in AMBIGUOUS else _lookup(name, text)
+    if "/" in known or "^" in known:  # aliases such as degps
+        return _terms(known)
+    return [(known, Fraction(1))] if known != "1" else []
 
 
 def _power(text: str | None, unit: str) -> Fraction:

@@ -22,6 +22,7 @@ from casid.model.units import (
     same_dimension,
     si_unit,
     to_si,
+    unit_powers,
     unit_quotient,
 )
 
@@ -29,6 +30,7 @@ COMPOSITE = [
     "deg/s", "m/s^2", "m/s2", "m/s²", "N m", "N*m", "N·m", "N m s/rad", "kg m^2", "N s^2/m^2",
     "N m s^2/rad^2", "N/(m s)", "kg m^2/s^2", "1/s", "s-1", "V^0.5/s", "m^(1/2)", "kN s/m",
     "deg/s^2", "N/m/s", "kg**2 m", "rad/V", "g0/V", "km / h", "1/(rpm^2)",
+    "mN/(rad/s)^2", "N/((m/s)^0.5 s)", "(N m)^2/s",
 ]  # fmt: skip
 
 _PINT = [
@@ -137,6 +139,16 @@ def test_units_of_laboratories_and_catchments_are_read(text, factor):
     assert to_si(1.0, text) == pytest.approx(factor, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("text", "product"),
+    [("mN/(rad/s)^2", "mN s^2/rad^2"), ("N/(m/s)", "N s/m"), ("kg/(m^2 s)^0.5", "kg/m/s^0.5"),
+     ("(N m)²/((rad/s)^2 s)", "N^2 m^2 s/rad^2")],
+)  # fmt: skip
+def test_a_power_of_a_product_in_brackets_is_that_of_each_factor(text, product):
+    assert unit_powers(text) == unit_powers(product)
+    assert parse_unit(text).factor == pytest.approx(parse_unit(product).factor, rel=1e-15)
+
+
 @pytest.mark.parametrize(("text", "si"), [("g/g", "1"), ("g/(g h)", "1/h"), ("T/T", "1")])
 def test_a_name_with_two_readings_that_cancels_is_the_same_by_either(text, si):
     assert same_dimension(text, si)
@@ -179,7 +191,7 @@ def test_a_quotient_with_two_readings_is_refused_with_both_ways_of_writing_it():
 
 
 @pytest.mark.parametrize(
-    "text", ["10", "m/", "m^", "(m", "m)", "/s", "m**", "*m", "m^(1/0)", "2 m"]
+    "text", ["10", "m/", "m^", "(m", "m)", "m/()", "(m/)s", "/s", "m**", "*m", "m^(1/0)", "2 m"]
 )
 def test_text_that_is_no_unit_is_refused_with_an_example(text):
     with pytest.raises(UnitError, match="for example"):
