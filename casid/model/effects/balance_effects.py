@@ -22,7 +22,7 @@ from casid.model.effects.effect import (
     known_while_null,
 )
 from casid.model.effects.names import GROWS, OPPOSES
-from casid.model.effects.place import Place, a_constant
+from casid.model.effects.place import Place, a_constant, is_zero
 from casid.model.effects.places import place_named
 from casid.model.model import Model
 from casid.model.quantity_names import letter_of
@@ -271,7 +271,8 @@ def extra_input(
         new.add_term(balance, new.symbol(names[0]) * acts)
 
     constants = {"about": about} if about else {}
-    also = f"the input {channel} acts in the {balance} balance, too"
+    reverses = channel in model.inputs and any(ca.which_depends(b.total, model.symbol(channel)))
+    also = f"the input {channel} acts in the {balance} balance{' in proportion' * reverses}, too"
     # A late sensor acts much as what drives the system does, and is met more often.
     return Effect(
         "extra_input",
@@ -286,12 +287,20 @@ def extra_input(
 
 
 def further_places_of_inputs(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Inputs of the model in the balances that they do not act in: couplings that it leaves out."""
+    """Inputs of the model in the balances that they do not act in: couplings that it leaves out.
+
+    In a balance that does not feel the sign of an input, as a heat balance in which a current acts
+    by its square, what reverses with the input is left out as well (a Peltier heat).
+    """
     for balance, b in model.balances.items():
         side = b.total
         for channel, (low, high) in sizes.readings.items():
             entry = model.inputs.get(channel)
-            if entry is None or any(ca.which_depends(side, model.symbol(channel))):
+            if entry is None:
+                continue
+            u = model.symbol(channel)
+            reverses = low < 0 < high and is_zero(side - ca.substitute(side, u, -u))
+            if any(ca.which_depends(side, u)) and not reverses:
                 continue
             spread = Spread(sizes.levels.get(channel, 0.0), low, high)
             yield from extra_inputs_of(model, balance, channel, entry.unit, spread)

@@ -69,6 +69,7 @@ from casid.model.effects.structure_effects import missing_modes_of, structure_ef
 from casid.model.effects.unnamed_effects import (
     linear_loss,
     linear_restoring_force,
+    missing_links,
     saturating_force,
     unnamed_effects,
     uptakes_of,
@@ -108,6 +109,7 @@ def catalogue(
                 effects += extra_inputs_of(model, place.where, channel, unit, reading)
     effects += _power_laws(model, sizes)
     effects += uptakes_of(model, sizes.ranges)
+    effects += missing_links(model)
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         effects.append(sensor_bias(model, channel))

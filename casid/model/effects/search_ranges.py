@@ -318,6 +318,12 @@ class UnnamedEffects:
         "beyond it the uptake is a constant",
         _FLOW_LAWS,
     )
+    used_up: float = _is(
+        0.003,
+        "of the largest amount, below which what uses it up ends: few sensors resolve less, and a "
+        "tenth of that would be stiff",
+        _UNNAMED,
+    )
 
 
 PARAMETER_JUMPS = ParameterJumps()

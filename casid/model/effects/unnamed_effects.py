@@ -8,6 +8,7 @@ and how it grows, but nothing that a textbook names.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 import casadi as ca
@@ -17,13 +18,14 @@ from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect, Sided, known_while_null
+from casid.model.effects.elements import elements_of
 from casid.model.effects.flow_laws import is_positive
 from casid.model.effects.names import bracketed
-from casid.model.effects.place import Place
+from casid.model.effects.place import Place, is_amount, is_mechanical, is_zero
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import UNNAMED_EFFECTS
 from casid.model.model import Model
-from casid.model.units import unit_quotient
+from casid.model.units import same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
 
@@ -187,11 +189,12 @@ def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
 
 
 def uptakes_of(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Iterator[Effect]:
-    """-c x in the balance of another quantity, where x so far acts with that quantity alone.
+    """-c x in the balance of another quantity y, where x so far acts with that quantity alone.
 
     Of a reaction between the two, as growth is of cells and sugar: what cells use up to stay alive,
-    or make of nothing that is modelled. `ranges` are the lowest and highest values of states, of
-    which x has to stay positive.
+    or make of nothing that is modelled. Where all that x does there ends with y, and the record
+    has y used up, the uptake ends, too: no concentration falls below zero. `ranges` are the lowest
+    and highest values of states, of which x has to stay positive.
     """
     states = ca.vertcat(*[model.symbol(name) for name in model.states])
     for place in (place_named(model, balance) for balance in model.balances):
@@ -202,17 +205,66 @@ def uptakes_of(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Itera
             slope = ca.jacobian(model.balances[place.where].total, x)
             if not any(ca.which_depends(slope, states)):
                 continue
-            unit = unit_quotient(place.unit, model.states[name].unit)
+            low, high = ranges.get(rate, (0.0, 0.0))
+            trace = UNNAMED_EFFECTS.used_up * high
+            y = model.symbol(rate)
+            ends_with_it = abs(low) < trace and is_zero(ca.sumsqr(ca.substitute(slope, y, 0.0)))
+            there = y / ca.sqrt(y**2 + carrying_unit(trace**2)) if ends_with_it else 1.0
             yield force_along(
                 place,
                 "unknown",
-                Parameter(f"c_{name}", unit, 0.0),
-                _taken(x),
+                Parameter(f"c_{name}", unit_quotient(place.unit, model.states[name].unit), 0.0),
+                _taken(x * there),
                 priority=UNNAMED_EFFECTS.priority,
                 shape=name,
-                description=f"{place.a_quantity()} in proportion to {name}, which the "
-                "model leaves out",
+                description=f"{place.a_quantity()} in proportion to {name}"
+                f"{f' as long as there is {rate}' * ends_with_it}, which the model leaves out",
+                constants={"trace": trace} if ends_with_it else {},
             )
+
+
+def missing_links(model: Model) -> Iterator[Effect]:
+    """c (x2 - x1) in the balance of x1, and the opposite in that of x2: stores that nothing joins.
+
+    What the model keeps apart may exchange all the same: a seal leaks from one chamber of a
+    cylinder to the other, heat passes between two rooms. The levels are of one kind (temperatures,
+    pressures, the levels of tanks), and both balances are of what passes: of concentrations, lags
+    and rates of change nothing says how much of one is how much of the other.
+    """
+    joined = [{row for row, _ in place.shares} for place in elements_of(model)]
+    for (one, a), (other, b) in combinations(model.balances.items(), 2):
+        level, unit = model.states[a.rate].unit, a.unit
+        if not (same_dimension(unit, b.unit) and same_dimension(level, model.states[b.rate].unit)):
+            continue
+        if is_mechanical(unit) or is_amount(level) or same_dimension(unit, "V"):
+            continue
+        if same_dimension(unit, level) or same_dimension(unit, unit_quotient(level, "s")):
+            continue
+        if any({one, other} <= rows for rows in joined):
+            continue
+        name = f"{a.rate}-{b.rate}"
+        place = Place(
+            where=name,
+            unit=unit,
+            velocity=model.symbol(a.rate) - model.symbol(b.rate),
+            velocity_unit=level,
+            position=None,
+            position_unit="1",
+            shares=((one, ca.SX(1.0)), (other, ca.SX(-1.0))),
+            velocity_name=name,
+            position_name="",
+        )
+        yield force_along(
+            place,
+            "unknown",
+            Parameter(f"c_{a.rate}_{b.rate}", place.velocity_power(1), 0.0),
+            _taken(place.velocity),
+            sided="positive",
+            priority=UNNAMED_EFFECTS.priority,
+            shape=name,
+            description=f"{place.a_quantity()} in proportion to {name} from {one} to {other}, "
+            "which the model leaves out",
+        )
 
 
 def _taken(x: Expr) -> Callable[[Any], Expr]:

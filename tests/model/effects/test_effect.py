@@ -15,6 +15,7 @@ from casid.model.effects.balance_effects import (
     cubic_stiffness,
     extra_input,
     extra_inputs_of,
+    further_places_of_inputs,
     offset,
     quadratic_damping,
 )
@@ -326,3 +327,29 @@ def test_a_delay_is_shown_in_the_unit_that_all_times_of_the_model_have(units, sh
     for effect in (time_delay(m, "y", 1.0), time_delay(m, "u", 1.0), actuator_lag(m, "u", 1.0)):
         new, (name,) = effect.extended(m)
         assert new.declared_units.get(name) == shown
+
+
+@pytest.mark.parametrize(
+    ("lowest", "squared", "heats"), [(-3.0, True, True), (0.5, True, False), (-3.0, False, False)]
+)
+def test_a_current_that_heats_by_its_square_may_heat_by_its_direction_too(
+    lowest: float, squared: bool, heats: bool
+):
+    """The Peltier heat, and the reversible heat of a cell, change their sign with the current.
+
+    Of a current of one direction the two are nearly one; what a balance has in proportion to an
+    input is scaled by its own parameters.
+    """
+    m = casid.Model("resistor")
+    T, i = m.state("T", "K"), m.input("i", "A")
+    R, h = m.parameter("R", "ohm", start=1.0), m.parameter("h", "W/K", start=1.0)
+    V = m.constant("V", 1.0, "V")
+    C = m.constant("C", 50.0, "J/K")
+    m.balance(T, "heat", inertia=C, terms=[R * i * i if squared else V * i, -h * (T - 290.0)])
+    m.output("T", T, "K")
+    sizes = Sizes({"T": 300.0}, {}, (0.0, 1.0), 0.1, readings={"i": (lowest, 7.0)})
+    found = list(further_places_of_inputs(m, sizes))
+    assert [(e.kind, e.where) for e in found] == [("extra_input", "i")] * heats
+    if heats:
+        assert found[0].parameters[0].unit == "W/A"
+        assert says(found[0]) == "the input i acts in the heat balance in proportion, too"

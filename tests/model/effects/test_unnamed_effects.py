@@ -15,7 +15,14 @@ from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import KINDS, Effect, Sizes
 from casid.model.effects.flow_laws import power_law
-from casid.model.effects.unnamed_effects import linear_loss, saturating_force, unnamed_effects
+from casid.model.effects.unnamed_effects import (
+    linear_loss,
+    missing_links,
+    saturating_force,
+    unnamed_effects,
+    uptakes_of,
+)
+from casid.model.units import unit_quotient
 from problems import pendulum
 from tests.model.effects.test_flow_laws import LEVEL, tanks
 
@@ -141,3 +148,72 @@ def test_only_damping_between_two_bodies_has_a_torque_that_levels_off():
     sizes = Sizes({"w1": 9.0, "w2": 5.0}, {"n1": 9.0, "n2": 9.0}, (0.0, 9.0), 1.0)
     keys = {e.key for e in catalogue(belt(), sizes, {})}
     assert ("unknown", "w1-w2: (w1-w2)/sqrt(1+r(w1-w2)^2)") in keys
+
+
+@pytest.mark.parametrize(("least", "rate"), [(0.0, 0.0), (2.0, -0.05 * 5.0)])
+def test_what_cells_use_beside_growth_ends_where_the_sugar_is_used_up(least: float, rate: float):
+    """Concentrations are nonnegative: at zero their rate is not below it (Chellaboina et al. 2009).
+
+    Where the record stays away from zero the uptake is in proportion to the cells alone.
+    """
+    m = casid.Model("batch")
+    X, S = m.state("X", "kg/m^3"), m.state("S", "kg/m^3")
+    mu, K, Y = m.parameter("mu", "1/s"), m.parameter("K", "kg/m^3"), m.parameter("Y", "1")
+    growth = mu * S / (K + S) * X
+    m.balance(X, "biomass", inertia=1, terms=[growth], unit="kg/(m^3 s)")
+    m.balance(S, "sugar", inertia=1, terms=[-growth / Y], unit="kg/(m^3 s)")
+    m.output("X", X, "kg/m^3")
+    (effect,) = (e for e in uptakes_of(m, {"X": (0.5, 60.0), "S": (least, 18.0)}) if e.shape == "X")
+    assert effect.where == "sugar"
+    e = m.extend(effect).explicit()
+    f = ca.Function("f", [e.x, e.p], [e.f])
+    assert f([5.0, 0.0], [0.3, 0.5, 0.4, 0.05]).full().ravel() == pytest.approx([0.0, rate])
+    # Of a fiftieth of the largest amount the part that is left out is 1 %: 1 - (1 + 0.15^2)^-1/2.
+    growing = 0.3 * 0.36 / 0.86 * 5.0
+    used = f([5.0, 0.36], [0.3, 0.5, 0.4, 0.05]).full()[1]
+    assert used == pytest.approx(-growing / 0.4 - 0.05 * 5.0, abs=0.25 * 0.0112)
+
+
+def stores(level: str, flow: str, *, joined: bool = False) -> casid.Model:
+    """Two stores that are filled each by itself, joined by a conductance where that is asked."""
+    m = casid.Model("two stores")
+    a, b = m.state("a", level), m.state("b", level)
+    u, w = m.input("u", flow, known=True), m.input("w", flow, known=True)
+    one, other = (
+        m.parameter(c, unit_quotient(flow, unit_quotient(level, "s")), start=2.0)
+        for c in ("C_a", "C_b")
+    )
+    G = m.parameter("G", unit_quotient(flow, level), start=0.1)
+    leak = G * (a - b) if joined else 0.0
+    m.balance(a, "first", inertia=one, terms=[u, -leak], unit=flow)
+    m.balance(b, "second", inertia=other, terms=[w, leak], unit=flow)
+    m.output("a", a, level)
+    m.output("b", b, level)
+    return m
+
+
+@pytest.mark.parametrize(("level", "flow"), [("Pa", "m^3/s"), ("K", "W"), ("m", "m^3/s")])
+def test_stores_that_nothing_joins_may_exchange_from_the_higher_level_to_the_lower(level, flow):
+    """What leaves the one arrives in the other: the sum of both balances is the model's."""
+    m = stores(level, flow)
+    (link,) = missing_links(m)
+    assert (link.kind, link.where, link.sided) == ("unknown", "a-b", "positive")
+    check_units(m.extend(link))
+    (base, f), (_, g) = (
+        (e, ca.Function("f", [e.x, e.u, e.p], [e.f]))
+        for e in (m.explicit(), m.extend(link).explicit())
+    )
+    x, u, p = [5.0, 2.0], [0.3, 0.7], [2.0, 4.0, 0.1][: base.p.numel()]
+    change = (g(x, u, [*p, 0.5]) - f(x, u, p)).full().ravel()
+    assert p[0] * change[0] == pytest.approx(-0.5 * (5.0 - 2.0))
+    assert p[0] * change[0] + p[1] * change[1] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [stores("K", "W", joined=True), stores("kg/m^3", "kg/s"), stores("K", "K"), stores("K", "K/s"),
+     stores("A", "V"), stores("m/s", "N")],
+)  # fmt: skip
+def test_bodies_concentrations_lags_and_stores_that_are_joined_have_no_missing_link(model):
+    """The amounts in which concentrations, lags or rates of change are exchanged are not known."""
+    assert not list(missing_links(model))
