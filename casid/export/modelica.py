@@ -178,7 +178,7 @@ class _Writer:
                 '"not measured; determined by the equations";'
             )
         for name in self.clocks:
-            signal = _clock_text(model.inputs[name].signal, self.plain.Ts)
+            signal = _clock_text(model.inputs[name].signal)
             lines.append(f'  Real {self.names[name]} = {signal} "{_safe(name)}";')
         for name, text in self.outputs.items():
             if name not in self.given:
@@ -279,10 +279,9 @@ def _is_sum(text: str) -> bool:
     return False
 
 
-def _clock_text(signal: Any, Ts: float) -> str:
+def _clock_text(signal: Any) -> str:
     if isinstance(signal, StepAt):
-        # The step of the fit is held for whole samples: on average it comes half a sample later.
-        return f"if time >= {number_text(signal.time + Ts / 2)} then 1.0 else 0.0"
+        return f"if time >= {number_text(signal.time)} then 1.0 else 0.0"
     if isinstance(signal, RampOver):
         middle = 0.5 * (signal.start + signal.stop)
         return f"{_since(middle)} / {number_text(signal.stop - signal.start)}"

@@ -19,19 +19,26 @@ from casid.arrays import Array
 class StepAt:
     """0 before `time` and 1 after it, seconds of the record's clock.
 
-    In the sample around it the value is a fraction, so that a held signal has its mean there and
-    the instant moves smoothly.
+    One sample is a fraction, so that the instant moves smoothly: that around it where samples are
+    joined by straight lines, whose mean is the step's then. A sample that `is_held` until the next
+    is the mean of the step from the one to the other; a held step at a sample is 1 from it on.
     """
 
     time: float
+    is_held: bool = False
 
     def __call__(self, t: Array) -> Array:
         """Samples (N,) at the times t (N,) [s]."""
-        return np.asarray(np.clip((t - self.time) / (t[1] - t[0]) + 0.5, 0.0, 1.0))
+        return np.asarray(np.clip((t - self.time) / (t[1] - t[0]) + self._ahead, 0.0, 1.0))
 
     def expression(self, t: Any, Ts: float) -> Any:
         """The sample that begins at the time `t`, a CasADi symbol; Ts [s]."""
-        return ca.fmin(ca.fmax((t - self.time) / Ts + 0.5, 0.0), 1.0)
+        return ca.fmin(ca.fmax((t - self.time) / Ts + self._ahead, 0.0), 1.0)
+
+    @property
+    def _ahead(self) -> float:
+        """Samples by which a sample's value is that of a time after it."""
+        return 1.0 if self.is_held else 0.5
 
 
 @dataclass(frozen=True, slots=True)

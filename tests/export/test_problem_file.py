@@ -180,7 +180,7 @@ def test_what_depends_on_the_clock_is_written(tmp_path: Path) -> None:
     )
     problem = reloaded(fitted, tmp_path)
     assert_same(*simulate_both(fitted, problem), 1e-12)
-    assert "casid.StepAt(time=1.2345)" in (tmp_path / "problem.py").read_text()
+    assert "casid.StepAt(time=1.2345, is_held=True)" in (tmp_path / "problem.py").read_text()
 
 
 def test_numbers_are_in_the_declared_units(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ def jump_times(window: tuple[float, float], count: int = PARAMETER_JUMPS.times) 
 
 def step_at(time: float) -> Input:
     """The generated input that is 1 from `time` on (seconds of the record's clock)."""
-    return Input(f"step at {time:.9g} s", "1", "generated", "zoh", StepAt(time))
+    return Input(f"step at {time:.9g} s", "1", "generated", "zoh", StepAt(time, is_held=True))
 
 
 def ramp_over(start: float, stop: float) -> Input:

@@ -139,7 +139,7 @@ def test_a_jump_acts_on_the_clock_of_the_fitted_record_alone():
     jump = parameter_jump(plain, "k", 4.0)
     problem = casid.Problem("oscillator", jump.extend(plain, starts={"jump_k": 5.0}), starts=1)
     model = casid.identify(problem, record()).model
-    assert model.model.inputs["step at 4 s"].signal == StepAt(4.0)
+    assert model.model.inputs["step at 4 s"].signal == StepAt(4.0, is_held=True)
     apart = {"force": record()["force"]}
     same = model.simulate(apart, on_clock=True)
     assert np.array_equal(same["position"], model.simulate(record())["position"])

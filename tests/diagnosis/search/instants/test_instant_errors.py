@@ -34,7 +34,6 @@ from tests.diagnosis.search.instants.test_temporary_changes import (
 )
 
 ONCE = FitSettings(starts=1)
-HALF = 0.5 * TS  # a held step sets in that much before the first sample of which it is all
 
 
 def fitted(begin: float, end: float) -> tuple[Adopted, Fit]:
@@ -66,7 +65,7 @@ def instants(cause: Adopted) -> tuple[float, float]:
 @pytest.fixture(scope="module")
 def best() -> tuple[Adopted, Fit]:
     """With the instants where the record has them: two Gauss-Newton steps from the true ones."""
-    cause, fit = fitted(BEGIN - HALF, END - HALF)
+    cause, fit = fitted(BEGIN, END)
     for _ in range(2):
         (moved,) = moved_in_time(leak().model, [cause], fit) or (cause.candidate,)
         cause, fit = fitted(*instants(replace(cause, candidate=moved)))
@@ -106,12 +105,12 @@ def test_the_sizes_move_with_the_instants(best: tuple[Adopted, Fit]):
 
 def test_instants_move_to_where_the_records_have_them():
     """From two and from three samples away, in one step for all but what is not linear."""
-    cause, fit = fitted(BEGIN - HALF + 0.2, END - HALF - 0.3)
+    cause, fit = fitted(BEGIN + 0.2, END - 0.3)
     (moved,) = moved_in_time(leak().model, [cause], fit) or ()
     (known,) = with_instant_errors(Attempts(), [cause], fit)
     for now, true, error in zip(
         (moved.effect.variant, moved.effect.end),
-        (BEGIN - HALF, END - HALF),
+        (BEGIN, END),
         known.instant_errors,
         strict=True,
     ):
@@ -126,13 +125,13 @@ def test_a_disturbance_keeps_no_instant_away_from_where_the_records_have_it():
     weighing = Weighing(split.fitted).with_disturbances()
     at, units = weighing.weigh(model, base), base.criterion.weights
     refine = Refinement(Search(weighing, {}), split, ONCE, units, at, base)
-    cause, fit = fitted(BEGIN - HALF + away, END - HALF + away)
+    cause, fit = fitted(BEGIN + away, END + away)
     beside = weighing.weigh(fit.criterion.model, fit)
     assert beside.noise.source_sd["volume"] > 0.01  # m/s
     found = Adoption((cause,), beside, beside.fit)
     moved = refine.with_likelier_instants(found)
     assert moved.at.noise.source_sd["volume"] == pytest.approx(0.0, abs=1e-4)
-    assert instants(moved.adopted[0]) == pytest.approx((BEGIN - HALF, END - HALF), abs=0.05)
+    assert instants(moved.adopted[0]) == pytest.approx((BEGIN, END), abs=0.05)
 
 
 @pytest.mark.parametrize("placed", [30.0, 33.0, 38.0])
@@ -177,7 +176,7 @@ def is_held(seed: int, memory: float) -> bool:
     q = np.repeat(rng.uniform(0.0, 1.0, N // 20), 20)
     at = round(rng.uniform(20.0, 70.0), 1)
     noise = lfilter([np.sqrt(1 - memory**2)], [1.0, -memory], rng.standard_normal(N + 200))[200:]
-    of, true = leaking(q, at, 0.7, noise), at - HALF
+    of, true = leaking(q, at, 0.7, noise), at
     nearby = [jumped(of, true + late, 0.1) for late in (-2.0, -0.5, 0.0, 0.5, 2.0)]
     cause, fit = min(nearby, key=lambda found: found[1].solution.value)
     for _ in range(3):
@@ -217,7 +216,7 @@ def test_an_input_that_fails_does_so_at_the_instants_that_leave_least():
     """Seconds beside them, too: under a gain of -1 another gain of the input changes nothing."""
     cause, fit = stopped(BEGIN + 2.0, END - 2.0)
     effect, own = cause.candidate.effect, cause.candidate.names[0]
-    moments = [[at - HALF + late for late in (-2.0, 0.0, 2.0)] for at in (BEGIN, END)]
+    moments = [[at + late for late in (-2.0, 0.0, 2.0)] for at in (BEGIN, END)]
     steps = [[at_instant(effect, fit.criterion.model, t) for t in side] for side in moments]
     left = scan_pairs(fit, own, *steps)
     assert np.unravel_index(np.argmin(left), left.shape) == (1, 1)
@@ -225,7 +224,7 @@ def test_an_input_that_fails_does_so_at_the_instants_that_leave_least():
 
 def test_the_instants_at_which_an_input_fails_are_as_uncertain_as_their_profile_says():
     """Half of what they are where the gain itself scales their signatures."""
-    begin, end = BEGIN - HALF, END - HALF
+    begin, end = BEGIN, END
     cause, fit = stopped(begin, end)
     (known,) = with_instant_errors(Attempts(), [cause], fit)
     later = 0.25 * TS

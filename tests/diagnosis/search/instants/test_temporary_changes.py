@@ -75,13 +75,13 @@ def sizes(cause: object) -> dict[str, object]:
 def test_what_is_on_for_a_while_is_one_cause_with_both_instants(
     effect: str, size: float, name: str, kind: str
 ):
-    """A held step sets in half a sample before the first sample of which it is all."""
+    """A step that is held sets in at the first sample of which it is all."""
     (cause,) = diagnosed(record(**{effect: size})).causes  # type: ignore[arg-type]
     found = sizes(cause)
     assert cause.kind == kind
     assert "for a while" in cause.sentence
     assert "for a while" in cause.words
-    for what, true in ((name, size), ("time", BEGIN - 0.05), ("end", END - 0.05)):
+    for what, true in ((name, size), ("time", BEGIN), ("end", END)):
         p = found[what]
         assert 0.0 < p.std_error < 0.1 * abs(true)  # type: ignore[attr-defined]
         assert abs(p.value - true) < 4 * p.std_error  # type: ignore[attr-defined]
@@ -194,8 +194,8 @@ def test_the_end_of_a_change_is_found_far_from_where_it_was_scored():
     refitting = Refitting(weighing)
     rough = refitting.refit(at, parameter_jump(m, "k", BEGIN, 27.0), 0.1)
     (found,) = placed(refitting, at, [rough], (), lambda _: None)
-    assert abs(found.effect.constants["time"] - (BEGIN - 0.05)) < 0.05
-    assert abs(found.effect.constants["end"] - (60.0 - 0.05)) < 0.05
+    assert abs(found.effect.constants["time"] - BEGIN) < 0.05
+    assert abs(found.effect.constants["end"] - 60.0) < 0.05
     assert found.fit.values["jump_k"] == pytest.approx(0.3, rel=0.02)
 
 
