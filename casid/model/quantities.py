@@ -71,13 +71,26 @@ def span_text(start: float, stop: float) -> str:
 def instant_text(seconds: float, resolution: float) -> str:
     """An instant [s] to within `resolution`: 30.4 h to within 300 s, 27.99 s to within 10 ms.
 
-    In minutes, hours or days where two decimals show what is resolved.
+    In minutes, hours or days where two decimals show what is resolved; in hours where a hundredth
+    of a day is more than twice of that.
     """
-    scale, shown = common_prefix([seconds], "s")
+    return _instant_texts([seconds], resolution)[0]
+
+
+def while_text(start: float, stop: float) -> str:
+    """When something that lasts for a while does [s], to a thirtieth of it: "50.0 h to 51.5 h"."""
+    return " to ".join(_instant_texts([start, stop], max(stop - start, 1e-9) / 30))
+
+
+def _instant_texts(instants: Sequence[float], resolution: float) -> list[str]:
+    """Instants in one unit, with the decimals that show the resolution (both in s)."""
+    scale, shown = common_prefix(instants, "s")
+    if shown == "d" and 2 * resolution < 0.01 * scale:
+        scale, shown = 3600.0, "h"
     if resolution / scale < 10**-2.5:  # a third decimal
         scale, shown = 1.0, "s"
     places = min(max(0, round(-math.log10(resolution / scale))), 9)
-    return f"{seconds / scale:.{places}f} {shown}"
+    return [f"{t / scale:.{places}f} {shown}" for t in instants]
 
 
 def percent_text(value: float) -> str:

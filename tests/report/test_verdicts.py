@@ -10,10 +10,12 @@ from casid.estimation.estimate import Agreement, Identifiability
 from casid.estimation.whiteness import Whiteness
 from casid.model.quantities import (
     growth_text,
+    instant_text,
     quantity_text,
     quantity_texts,
     span_text,
     unit_text,
+    while_text,
 )
 from casid.report.verdicts import judged_estimate, judged_study
 from tests.report.golden_results import monte_carlo
@@ -201,6 +203,25 @@ def test_numbers_that_are_compared_share_their_prefix():
 )  # fmt: skip
 def test_the_ends_of_an_interval_are_told_apart_however_late_it_is(start, stop, text):
     assert span_text(start, stop) == text
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "text"),
+    [(179986.0, 185376.0, "50.0 h to 51.5 h"), (7.99, 14.51, "8.0 s to 14.5 s"),
+     (1199.5, 1699.5, "20.0 min to 28.3 min"), (2.6e6, 3.5e6, "30 d to 41 d")],
+)  # fmt: skip
+def test_what_lasts_for_a_while_does_so_between_instants_that_its_length_tells_apart(
+    start, stop, text
+):
+    """A door that is open for an hour and a half was open from 2.08 to 2.15 d."""
+    assert while_text(start, stop) == text
+
+
+def test_an_instant_is_in_hours_where_two_decimals_of_a_day_hide_what_is_resolved():
+    """0.01 d is 14.4 min."""
+    assert instant_text(179986.0, 300.0) == "50.0 h"
+    assert instant_text(179986.0, 3600.0) == "2.1 d"
+    assert instant_text(179986.0, 1.0) == "179986 s"
 
 
 def test_a_growth_of_many_times_is_no_percentage():

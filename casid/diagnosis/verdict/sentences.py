@@ -36,7 +36,7 @@ from casid.model.effects.names import (
 from casid.model.effects.parameter_effects import is_scheduled_by_power
 from casid.model.identifiers import made_identifier
 from casid.model.model import Model
-from casid.model.quantities import quantity_text, quantity_texts
+from casid.model.quantities import quantity_text, quantity_texts, while_text
 
 _SAYS = {
     "quadratic_damping": "damping that grows with the rate squared acts in {place}",
@@ -220,8 +220,8 @@ def says(effect: Effect, column: str = "") -> str:
         on = f"in the {effect.shape} balance" if effect.shape else "on the system"
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
     if effect.end is not None:
-        begun, over = (quantity_text(effect.constants[t], "s") for t in ("time", "end"))
-        return f"{effect.description}, from {begun} to {over}"
+        when = while_text(effect.constants["time"], effect.constants["end"])
+        return f"{effect.description}, from {when}"
     if effect.kind in _STEADY and (text := _says_constant(effect)):
         return text
     if effect.kind == "parameter_drift" and "stop" in effect.constants:
