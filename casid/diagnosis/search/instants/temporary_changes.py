@@ -53,10 +53,15 @@ def temporary_changes(at: Weighted, table: ScoreTable, burst: Sequence[float] = 
         alone = max(table.scores[i].unrobust for i in places)
         if best is not None and best.unrobust > max(alone + more, least):
             found.append(best)
-    found.sort(key=lambda s: -s.unrobust)
+    found.sort(key=_by_gain)
     gains = [s for s in found if s.effect.is_new_gain][: SHORTLIST.gains]
     others = [s for s in found if not s.effect.is_new_gain][: SHORTLIST.passing]
-    return sorted([*others, *gains], key=lambda s: -s.unrobust)
+    return sorted([*others, *gains], key=_by_gain)
+
+
+def _by_gain(score: Score) -> tuple[float, int]:
+    """The largest gain first; of two effects that do the same, that of the lower priority."""
+    return -float(f"{score.unrobust:.6g}"), score.effect.priority
 
 
 def placed_changes(at: Weighted, table: ScoreTable) -> list[Score]:
