@@ -9,6 +9,7 @@ import numpy as np
 
 import casid
 from analysis.common.case_file import Row, of_diagnosis
+from analysis.diagnosis_park.bench import Variant
 from analysis.diagnosis_park.cases import Case, Hidden, make
 from analysis.diagnosis_park.oracle import judged, signatures_of
 from tests.support.park.networks import KINDS, network
@@ -54,11 +55,36 @@ def row_of(case: Case, *, oracles: bool = True) -> Row:
         row |= _of_oracles(hidden)
     began, cpu = time.perf_counter(), time.process_time()
     try:
-        row |= of_diagnosis(casid.diagnose(problem, record_of(hidden)))
+        found = casid.diagnose(problem, record_of(hidden))
+        row |= of_diagnosis(found)
+        if hidden.effect is not None:
+            row |= {"left": left_by(hidden, found), "free": _free(hidden, row)}
     except Exception as error:  # of whichever class: a case that fails is a result, too
         row["error"] = f"{type(error).__name__}: {error}"
     row["seconds"], row["cpu"] = time.perf_counter() - began, time.process_time() - cpu
     return row
+
+
+def left_by(hidden: Hidden, found: casid.Diagnosis) -> float:
+    """Energy (as lambda) of what a diagnosis simulates less the true outputs without noise.
+
+    With efficient estimates of the true model it is chi-squared of as many degrees of freedom as
+    values were estimated.
+    """
+    bench, view = hidden.bench, found.records[0]
+    truth = Variant(np.zeros(bench.n_phi), hidden.effect, hidden.size, hidden.hyper)
+    e = bench.outputs([truth])[:, :, 0]
+    simulated = view.baseline if view.extended is None else view.extended
+    for j, output in enumerate(bench.system.outputs):
+        i = view.outputs.index(output.name)
+        in_its_unit = np.polyfit(view.measured[: bench.n, i], hidden.y[: bench.n, j], 1)
+        e[:, j] -= np.polyval(in_its_unit, simulated[: bench.n, i])
+    return float(np.sum(hidden.white(e[:, :, None]) ** 2))
+
+
+def _free(hidden: Hidden, row: Row) -> int:
+    """Values that were estimated: parameters, initial states, sizes of causes."""
+    return hidden.bench.n_phi + sum(len(c["values"]) for c in row["causes"])
 
 
 def _of_oracles(hidden: Hidden) -> Row:

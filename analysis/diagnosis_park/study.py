@@ -27,6 +27,7 @@ from analysis.diagnosis_park.cases import Case
 from analysis.diagnosis_park.judgement import (
     first,
     has_truth,
+    is_misnamed,
     is_right,
     is_wrong,
 )
@@ -69,7 +70,8 @@ def line_of(row: Row) -> str:
         word = "ALARM" if is_alarm(row) else "quiet"
     else:
         word = "right" if is_right(row) else "set" if has_truth(row) else "missed"
-        word = "WRONG" if is_wrong(row) else word
+        is_error = is_misnamed if row["part"] == "unlisted" else is_wrong
+        word = "WRONG" if is_error(row) else word
     named = first(row)
     found = row.get("error") or ("-" if named is None else "{}({})".format(*named))
     flag = " FLAG" if is_flagged(row) else ""

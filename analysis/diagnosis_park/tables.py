@@ -16,6 +16,7 @@ from analysis.common.targets import Target
 from analysis.diagnosis_park.judgement import (
     first,
     has_truth,
+    is_misnamed,
     is_named,
     is_right,
     is_wrong,
@@ -80,6 +81,7 @@ def _line(name: str, rows: Sequence[Row]) -> dict[str, str]:
     out["unlisted named"] = text_of(
         *share(parts["unlisted"], lambda r: is_named(r) and not is_flagged(r))
     )
+    out["misnamed"] = text_of(*share(parts["unlisted"], is_misnamed))
     out["failed"] = f"{sum(is_failed(r) for r in rows)}/{len(rows)}"
     out["R"] = "{:.2f} ({:.2f} to {:.2f})".format(*ratio_of(single)[:3]) if single else "-"
     out["seconds"] = f"{np.median(seconds):.1f}, {np.max(seconds):.0f}" if seconds else "-"
@@ -120,7 +122,7 @@ def confusions(rows: Iterable[Row]) -> list[str]:
         said = r.get("error") or ("nothing" if named is None else "{}({})".format(*named))
         good = not is_alarm(r) if r["part"] == "null" else is_right(r)
         if r["part"] == "unlisted":
-            good = not is_named(r) or is_flagged(r)
+            good = not is_misnamed(r)
         if good and not is_failed(r):
             continue
         beside = " (oracle errs too)" if not oracle_is_right(r) else ""
@@ -153,12 +155,7 @@ def targets_of(rows: Sequence[Row], *, quick: bool) -> list[Target]:
     large = [r for r in done if r["part"] == "large"]
     least("right name, lambda > 1e5", large, is_right, 0.97)
     unlisted = [r for r in done if r["part"] == "unlisted"]
-    most(
-        "unlisted cause named without a flag",
-        unlisted,
-        lambda r: is_named(r) and not is_flagged(r),
-        0.05,
-    )
+    most("unlisted cause misnamed without a flag", unlisted, is_misnamed, 0.05)
     for name in sorted({r["system"] for r in rows}):
         own = [r for r in done if r["system"] == name]
         nulls = [r for r in own if r["part"] == "null"]

@@ -13,6 +13,7 @@ from scipy.stats import chi2, norm
 
 from analysis.diagnosis_park.bench import Bench, Variant, sensitivities, whitener_of
 from analysis.diagnosis_park.cases import CYCLE, Case, make
+from analysis.diagnosis_park.judgement import is_misnamed
 from analysis.diagnosis_park.oracle import judged, posterior, probability_right, signatures_of
 from analysis.diagnosis_park.runs import system_and_problem
 from analysis.diagnosis_park.study import STUDY, rows_of, run_cases
@@ -224,6 +225,15 @@ def test_a_park_of_wrong_names_misses_its_targets_and_one_of_right_names_meets_t
     assert all(t.is_met for t in targets_of(good, quick=False))
     missed = {t.what for t in targets_of(bad, quick=True) if not t.is_met}
     assert {"right name", "wrong name without a flag", "motor: false alarms"} <= missed
+
+
+def test_what_the_named_cause_leaves_tells_whether_a_record_shows_that_the_name_is_wrong() -> None:
+    """Six values estimated leave more than 16.8 of chi-squared in one record of a hundred."""
+    named = row("pulse", "x", "x", part="unlisted") | {"free": 6}
+    limit = float(chi2.isf(0.01, 6))
+    assert is_misnamed(named | {"left": limit + 1.0})
+    assert not is_misnamed(named | {"left": limit - 1.0})
+    assert not is_misnamed(named | {"left": 500.0, "unexplained": "something remains"})
 
 
 @pytest.mark.slow

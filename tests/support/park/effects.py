@@ -54,6 +54,8 @@ class Effect:
         kinds: tuple[str, ...] = TIMING if self.kind in TIMING else (self.kind,)
         if self.kind in ("deadzone", "backlash"):
             kinds = ("deadzone", "backlash")
+        if self.kind == "knock":  # the nearest that a catalogue has: a force for a while
+            kinds = ("knock", "offset")
         return [(kind, where) for kind in kinds for where in (self.where, *self.also)]
 
 
@@ -298,7 +300,10 @@ def spoilt(kind: str, y: Array, level: float, rng: np.random.Generator) -> Array
 
 
 def unlisted_of(system: System, s: Scales) -> list[Effect]:
-    """Effects that no catalogue has."""
+    """Effects that no catalogue has by name; in some systems one that it has does the same.
+
+    Where a place has no position, q is its rate: `amplitude_damping` is then cubic damping.
+    """
     duration, out = system.N * system.Ts, []
     for place in system.places:
         F, V = s.force[place.name], s.rate[place.name]
