@@ -490,6 +490,12 @@ class Residual:
     )
     first_band: int = _is(8, "lines of the lowest band", _RESIDUAL)
     blocks: int = _is(20, "stretches in which power is compared over time", _RESIDUAL)
+    half_waves: int = _is(
+        12,
+        "half waves along all records of which the course of a parameter is composed: one that "
+        "comes and goes six times is among them",
+        f"{TESTS}/evidence/residual/test_constancy.py",
+    )
     share_p: float = _is(
         0.05, "p of the dependence up to which its share is computed, whatever the rate", _RESIDUAL
     )

@@ -314,6 +314,11 @@ def disturbance_sentences(where: str, tests: ResidualTests, alpha: float) -> lis
     kind = "The remainder resembles a disturbance"
     if tests.verdict == IN_TIME:
         kind = "The mean or the power of the remainder changes in time"
+        least = tests.unsteady
+        if least is not None and least.p_value < min(
+            tests.p_mean, tests.p_power, tests.p_amplitude
+        ):
+            kind = f"The remainder is like what slow changes of {least.parameter} leave"
     place = f", acting in {where}" if where else ""
     out = [f"{kind}{place}: no function of states, inputs or recorded channels explains it."]
     if tests.p_dependence < alpha:

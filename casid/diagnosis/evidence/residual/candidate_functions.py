@@ -27,15 +27,16 @@ def regressions(
     recorded: Mapping[str, str] | None = None,
     *,
     places: Collection[str] | None = None,
+    linearised: Linearised | None = None,
     seed: int = 0,
 ) -> Iterator[tuple[str, list[str], Regression]]:
     """Every balance and output with the names of its functions and their regression.
 
-    `places` are those requested; all without.
+    `places` are those requested; all without. `linearised` is the fit's, where it is there already.
     """
     fit = at.unbiased or at.fit
     model, outputs = fit.criterion.model, fit.criterion.outputs
-    linearised = Linearised(fit.criterion, fit.x)
+    linearised = linearised or Linearised(fit.criterion, fit.x)
     inputs = [name for name, u in model.inputs.items() if u.kind != "generated"]
     own = {*model.states, *inputs}
     beside = {name: unit for name, unit in (recorded or {}).items() if name not in own}

@@ -30,6 +30,19 @@ from casid.model.declarations import Input
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Changed:
+    """What a unit of one parameter changes of a sample's step and of the outputs."""
+
+    step: Array  # (N, nx)
+    outputs: Array  # (N, ny)
+
+    @property
+    def is_nothing(self) -> bool:
+        """True of a parameter of a sensor, which acts behind the model's equations."""
+        return not (self.step.any() or self.outputs.any())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Path:
     """Equation (1) along one record, for all balances of the model in order."""
 
@@ -49,13 +62,25 @@ class Path:
         begins at the sample before ends: a force of a held input leaps at the samples.
         """
         n, m = force.shape
-        nx = self.A.shape[1]
         lines = force if ends is None else ends
         ahead = np.vstack([lines[1:], lines[-1:]])
-        states = np.zeros((m, n, nx))  # each column's in one piece, as the solver takes them
+        states = np.zeros((m, n, self.A.shape[1]))  # each column's in one piece, as solved
         push = states[:, 1:].transpose(1, 2, 0)
         push += self.B0[:-1, :, balance, None] * force[:-1, None, :]
         push += self.B1[:-1, :, balance, None] * ahead[:-1, None, :]
+        return np.asarray(self._moved(states) + self.D[:, :, balance, None] * force[:, None, :])
+
+    def respond_to(self, change: Changed, course: Array) -> Array:
+        """Outputs (N, ny, m) to a parameter that changes by `course` (N, m)."""
+        n, m = course.shape
+        states = np.zeros((m, n, self.A.shape[1]))
+        middle = 0.5 * (course[:-1] + course[1:])
+        states[:, 1:] += (change.step[:-1, :, None] * middle[:, None, :]).transpose(2, 0, 1)
+        return np.asarray(self._moved(states) + change.outputs[:, :, None] * course[:, None, :])
+
+    def _moved(self, states: Array) -> Array:
+        """C x (N, ny, m), with what pushes each of m columns (m, N, nx) from sample to sample."""
+        m, n, nx = states.shape
         # x[k+1] - A[k] x[k] = push[k]: a triangular band.
         bands = np.zeros((2 * nx, n, nx))
         for i in range(nx):
@@ -65,8 +90,7 @@ class Path:
             columns = states.reshape(m, -1).T
             columns, _ = dtbtrs(bands.reshape(2 * nx, -1), columns, uplo="L", diag="U")
             states = columns.T.reshape(m, n, nx)
-        out = np.einsum("kij,mkj->kim", self.C, states)
-        return np.asarray(out + self.D[:, :, balance, None] * force[:, None, :])
+        return np.asarray(np.einsum("kij,mkj->kim", self.C, states))
 
 
 @dataclass(eq=False)
@@ -94,6 +118,7 @@ class Linearised:
     def __init__(self, criterion: SimulationError, x: Array) -> None:
         self.criterion, self.x = criterion, x
         self._functions: dict[float, Any] = {}
+        self._changes: dict[float, Any] = {}
         self._motions: dict[tuple[bytes, int], list[list[Motion]]] = {}
         self._late: dict[int, Array] = {}
 
@@ -180,6 +205,32 @@ class Linearised:
         return ca.Function(
             "along", [e.x, e.u, ahead, e.p], [ca.densify(ca.jacobian(a, b)) for a, b in pairs]
         )
+
+    def changed(self, motion: Motion, parameter: str) -> Changed:
+        """The derivatives by a parameter along a record, constant in each step."""
+        criterion, signals = self.criterion, motion.signals
+        if signals.Ts not in self._changes:
+            self._changes[signals.Ts] = self._derivatives_by_parameters(signals.Ts)
+        p, _ = criterion.parameter_vector(self.x, motion.experiment)
+        names = criterion.model.explicit().parameters
+        unit = np.zeros(len(p))
+        unit[names.index(parameter)] = 1.0
+        n, u = signals.N, signals.u
+        ahead = np.vstack([u[1:], u[-1:]])
+        along = (np.tile(v[:, None], (1, n)) for v in (p, unit))
+        step, outputs = self._changes[signals.Ts].map(n)(motion.at.x[:n].T, u.T, ahead.T, *along)
+        by = np.array(step).T
+        by[criterion.starts_anew(motion.experiment) - 1] = 0.0
+        return Changed(by, np.array(outputs).T)
+
+    def _derivatives_by_parameters(self, Ts: float) -> Any:
+        model = self.criterion.model.copy()
+        model.stages = ()
+        e = model.explicit()
+        ahead, unit = ca.SX.sym("ahead", len(e.inputs)), ca.SX.sym("unit", e.p.shape[0])
+        step = rk4_sample(model, e, ahead, Ts, self.criterion.substeps)
+        by = [ca.densify(ca.jtimes(of, e.p, unit)) for of in (step, e.h)]
+        return ca.Function("by_parameter", [e.x, e.u, ahead, e.p, unit], by)
 
     def through_sensors(self, response: Array, y: Array, experiment: int) -> Array:
         """Apply what the model's sensors do to a response (N, ny, m), in place."""

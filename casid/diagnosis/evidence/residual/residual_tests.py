@@ -10,7 +10,8 @@ Three questions, each answered at one false-alarm rate and then put together by 
   them, and of each growing in time, as forces in every balance and as errors of every output, off
   the baseline's tangent (`signatures`).
 - Time. Cumulative sums of the residual and of its square are Brownian bridges, each in units of its
-  own long-run deviation (Inclan & Tiao 1994; Sanso, Arago & Carrion 2004, their kappa_2).
+  own long-run deviation (Inclan & Tiao 1994; Sanso, Arago & Carrion 2004, their kappa_2). Scores of
+  parameters that come and go (`constancy`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from scipy.stats import gamma, norm
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.residual.candidate_functions import regressions
+from casid.diagnosis.evidence.residual.constancy import Unsteady, unsteady
+from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.evidence.residual.signatures import Regression
 from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
@@ -85,6 +88,7 @@ class ResidualTests:
     p_amplitude: float  # that its power goes with the outputs' amplitude by chance
     innovation_blocks: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """As `blocks`, of the innovations where they are tested in time; none in older files."""
+    unsteady: Unsteady | None = None  # the least constant parameter
 
     def at_level(self, alpha: float) -> ResidualTests:
         """The tests judged at another false-alarm rate."""
@@ -118,6 +122,9 @@ class ResidualTests:
                 "p_value": c.p_value,
                 "share": c.share,
             },
+            "unsteady": None
+            if self.unsteady is None
+            else {"parameter": self.unsteady.parameter, "p_value": self.unsteady.p_value},
         }
 
 
@@ -148,7 +155,8 @@ def residual_tests(
     """
     fit = at.unbiased or at.fit
     criterion, x = fit.criterion, fit.x
-    whitened, correlated = _correlated(at, experiments, recorded, alpha=alpha, seed=seed)
+    along = Linearised(criterion, x)
+    whitened, correlated = _correlated(at, along, experiments, recorded, alpha=alpha, seed=seed)
     p_dependence = 1.0 if correlated is None else correlated.p_value
     # Gaps would pass for a residual that is too small, in samples and frequencies.
     whitened = [at.noise.completed(white, k) for k, white in enumerate(whitened)]
@@ -158,7 +166,9 @@ def residual_tests(
     p_mean, p_power, p_amplitude = _changes(
         tested_in_time, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
     )
-    p_time = min(1.0, 3 * min(p_mean, p_power, p_amplitude))
+    least = unsteady(at, experiments, recorded, linearised=along, seed=seed)
+    p_constant = 1.0 if least is None else least.p_value
+    p_time = min(1.0, 4 * min(p_mean, p_power, p_amplitude, p_constant))
     share = correlated.share if correlated is not None else 0.0
     return ResidualTests(
         verdict=_verdict(p_spectrum, p_dependence, p_time, share, alpha),
@@ -170,6 +180,7 @@ def residual_tests(
         correlated=correlated,
         blocks=_blocks(whitened, [d.Ts for d in criterion.data]),
         innovation_blocks=_blocks(tested_in_time, [d.Ts for d in criterion.data]),
+        unsteady=least,
         p_mean=p_mean,
         p_power=p_power,
         p_amplitude=p_amplitude,
@@ -178,6 +189,7 @@ def residual_tests(
 
 def _correlated(
     at: Weighted,
+    along: Linearised,
     experiments: Sequence[Experiment],
     recorded: Mapping[str, str] | None,
     *,
@@ -189,7 +201,9 @@ def _correlated(
     ny, places = len(criterion.outputs), [*criterion.model.balances, *criterion.outputs]
     whitened: list[Array] = []
     found: Correlated | None = None
-    for place, named, regression in regressions(at, experiments, recorded, seed=seed):
+    for place, named, regression in regressions(
+        at, experiments, recorded, linearised=along, seed=seed
+    ):
         if not whitened:
             ends = np.cumsum([0, *(d.N * ny for d in criterion.data)])
             parts = zip(ends[:-1], ends[1:], strict=True)

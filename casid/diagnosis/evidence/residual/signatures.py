@@ -2,13 +2,15 @@
 
 A place is a balance, where the signal is a force and acts along the linearised path ((1) of
 `linearised_path`), or an output, where it is added to what the sensor says. Signals are functions
-of what is known (`force_functions`). Regressing the whitened residual on their signatures, off the
-baseline's own tangent and less what the inputs' noise gives to signature and residual alike ((1) in
-`score_tests`), shows on what the missing part depends.
+of what is known (`force_functions`). In the place of a parameter they are changes of it. Regressing
+the whitened residual on their signatures, off the baseline's own tangent and less what the inputs'
+noise gives to signature and residual alike ((1) in `score_tests`), shows on what the missing part
+depends.
 """
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,13 +28,14 @@ from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.feedback import not_felt_yet, one_sample_late, slope
 from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.residual_autoregressions import Autoregression, autoregression
 from casid.estimation.noise.thresholds import REMOVAL
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 
 
 def require_place(criterion: SimulationError, place: str) -> None:
-    """Refuse what is neither a balance nor an output of the model.
+    """Refuse what is no balance, no output of the model, and no estimated parameter.
 
     Raises
     ------
@@ -40,7 +43,7 @@ def require_place(criterion: SimulationError, place: str) -> None:
         With the places that there are.
     """
     model = criterion.model
-    if place not in model.balances and place not in criterion.outputs:
+    if place not in (*model.balances, *criterion.outputs, *criterion.names):
         raise ModelError(
             f"{model.name}: {place!r} is neither a balance nor an output; choose one of "
             f"{', '.join([*model.balances, *criterion.outputs])}"
@@ -65,7 +68,7 @@ class Regression:
     Parameters
     ----------
     noise : whitens; `input_sd` is the white noise of each measured input.
-    place : a balance or an output of the model.
+    place : a balance or an output of the model, or an estimated parameter.
     groups : functions of the variables, see `variables_of` and, for an output, the output's own
         simulated value (under its name) and slope (under "slope of" its name).
 
@@ -147,6 +150,8 @@ class Regression:
         if self.place in criterion.outputs:
             out = np.zeros((d.N, self.ny, signal.shape[1]))
             out[:, criterion.outputs.index(self.place)] = signal
+        elif self.place not in model.balances:
+            out = self._of_parameter(motion, signal)
         else:
             before = self._before_steps(table, made)
             out = motion.path.respond(list(model.balances).index(self.place), signal, before)
@@ -155,6 +160,16 @@ class Regression:
         stack = np.concatenate([at.residual[:, :, None], at.jacobian, out], axis=2)
         stack *= criterion.weights[None, :, None]
         return self.noise.whiten(stack, k).reshape(-1, stack.shape[2])
+
+    def _of_parameter(self, motion: Motion, course: Array) -> Array:
+        """Outputs (N, ny, m) to courses (N, m) of the parameter; slow ones, of a sensor's."""
+        at = motion.at
+        change = self.linearised.changed(motion, self.place)
+        if change.is_nothing:
+            moved = at.jacobian[:, :, self.criterion.names.index(self.place)]
+            return np.asarray(moved[:, :, None] * course[:, None, :])
+        out = motion.path.respond_to(change, course)
+        return self.linearised.through_sensors(out, at.y, motion.experiment)
 
     def _before_steps(self, table: Mapping[str, Array], made: Sequence[Array]) -> Array | None:
         """The groups' functions right before the samples, at which held inputs step; None if none.
@@ -174,6 +189,37 @@ class Regression:
                 for group, at_samples in zip(self.groups, made, strict=True)
             ]
         )
+
+    def of_innovations(self) -> Regression:
+        """The same where the residual is no white noise: behind an autoregression of each output.
+
+        Residual, tangent and signatures go through it alike, as in generalised least squares.
+        """
+        of_outputs = [self.e.reshape(-1, self.ny)[rows] for rows in self._records]
+        models = [autoregression([e[:, i] for e in of_outputs]) for i in range(self.ny)]
+        out = copy.copy(self)
+        own = (self.e[:, None], self.tangent, self.psi, self.between)
+        e, out.tangent, out.psi, out.between = (self._behind(models, rows) for rows in own)
+        out.e = e[:, 0]
+        out.odd = None if self.odd is None else self._behind(models, self.odd)
+        out.size = np.sqrt(np.maximum(np.einsum("ij,ij->j", out.psi, out.psi), TINY))
+        return out
+
+    @property
+    def _records(self) -> list[slice]:
+        """The samples of each record."""
+        edges = np.cumsum([0, *(d.N for d in self.criterion.data)])
+        return [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+    def _behind(self, models: Sequence[Autoregression], columns: Array) -> Array:
+        """Columns (N ny, K), each output's samples behind its autoregression, record by record."""
+        if not columns.size:
+            return columns
+        out = columns.reshape(-1, self.ny, columns.shape[1]).copy()
+        for rows in self._records:
+            for i, model in enumerate(models):
+                out[rows, i] = model.whiten(out[rows, i])
+        return out.reshape(columns.shape)
 
     @functools.cached_property
     def between(self) -> Array:
