@@ -23,12 +23,14 @@ from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
     bounds_met,
-    chance_by_estimates,
     chance_over_floor,
     errors_of,
-    unlike_held_out,
     unlike_under_disturbance,
     views,
+)
+from casid.diagnosis.verdict.held_out_failures import (
+    failing_where_held_out,
+    unlike_where_held_out,
 )
 from casid.diagnosis.verdict.not_accepted import with_refusal_reasons
 from casid.diagnosis.verdict.ranking import ranking
@@ -48,7 +50,11 @@ from casid.diagnosis.verdict.reported_causes import (
 )
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.diagnosis.verdict.tested_remainder import Remainder, described, tested_remainder
-from casid.diagnosis.verdict.unknown_cause import with_the_unknown, with_the_unnamed_alternative
+from casid.diagnosis.verdict.unknown_cause import (
+    with_a_doubt,
+    with_the_unknown,
+    with_the_unnamed_alternative,
+)
 from casid.diagnosis.verdict.unnamed_alternatives import unnamed_alternatives
 from casid.estimation.estimate import Estimate, RecordView
 from casid.estimation.fit_statistics import poor_fit_text, poor_outputs
@@ -120,9 +126,12 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     causes, remainder = _with_what_has_no_name(
         problem, found, named, remainder, remaining, is_disturbed=is_disturbed
     )
-    causes = with_refusal_reasons(_with_the_sign(found, causes), found.search.refused)
+    causes = with_a_doubt(
+        _with_the_sign(found, causes), failing_where_held_out(found, *errors, extended, remainder)
+    )
+    causes = with_refusal_reasons(causes, found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
-    unlike = _unlike(found, fitted, held, baseline, beside)
+    unlike = unlike_where_held_out(found, fitted, held, baseline, beside)
     why, bounds = _undecided(problem, found, beside, unlike, disturbances)
     doubts = _doubts(found, remainder, bounds, poor)
     verdict: Verdict = "deficient" if causes else "undecided" if why else "adequate"
@@ -205,33 +214,8 @@ def errs_in_held_out_alone(found: Findings, judged: Judgement) -> bool:
         return False
     if not judged.causes:
         errors = judged.fitted, judged.held_out
-        return bool(_unlike(found, *errors, judged.baseline, remainder.beside))
-    if extended is None or not remainder.is_noise:
-        return False
-    by_estimates = _by_estimates(found, found.best_fit, judged.held_out, extended)
-    of = "extended_rmse"
-    return bool(unlike_held_out(found, judged.fitted, judged.held_out, by_estimates, of))
-
-
-def _unlike(
-    found: Findings, fitted: Errors, held: Errors, baseline: Estimate, beside: Weighted | None
-) -> str:
-    """Why what was held out contradicts a model that the fitted part does not."""
-    if beside is not None and beside.unbiased is not None:
-        return unlike_under_disturbance(beside, found.baseline.split)
-    by_estimates = _by_estimates(found, found.base_fit, held, baseline)
-    return unlike_held_out(found, fitted, held, by_estimates)
-
-
-def _by_estimates(
-    found: Findings, fit: Fit, held: Errors, estimate: Estimate
-) -> Mapping[str, float]:
-    """Error that the estimates' standard errors may add to the held-out part of a fitted model."""
-    if not held:
-        return {}
-    split, floor = found.baseline.split, held["noise_floor"]
-    of = partial(chance_by_estimates, fit, estimate.covariance, split, floor)
-    return found.search.attempts.attempt("what the estimates add to what was held out", of) or {}
+        return bool(unlike_where_held_out(found, *errors, judged.baseline, remainder.beside))
+    return bool(failing_where_held_out(found, judged.fitted, judged.held_out, extended, remainder))
 
 
 def _remaining(

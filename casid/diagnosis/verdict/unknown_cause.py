@@ -54,6 +54,23 @@ def with_the_unnamed_alternative(
     return [cause, *others]
 
 
+def with_a_doubt(causes: Sequence[Cause], failing: str) -> list[Cause]:
+    """The causes, beside the first of which stands what is unknown where they fail.
+
+    A law that passes for another one in the range that was fitted is told from it beyond.
+
+    Parameters
+    ----------
+    failing : how the model with them fails in what was held out; empty where it does not.
+    """
+    named = next((c for c in causes if c.kind not in OF_SAMPLES), None)
+    if not failing or named is None or named.kind == "unknown":
+        return list(causes)
+    other = Alternative("unknown", named.where, 1.0, failing, has_reason=True)
+    doubtful = replace(named, alternatives=(*named.alternatives, other))
+    return [doubtful if c is named else c for c in causes]
+
+
 def with_the_unknown(
     causes: Sequence[Cause],
     remainder: Remainder,
