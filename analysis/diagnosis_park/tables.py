@@ -155,7 +155,13 @@ def targets_of(rows: Sequence[Row], *, quick: bool) -> list[Target]:
     large = [r for r in done if r["part"] == "large"]
     least("right name, lambda > 1e5", large, is_right, 0.97)
     unlisted = [r for r in done if r["part"] == "unlisted"]
-    most("unlisted cause misnamed without a flag", unlisted, is_misnamed, 0.05)
+    most(
+        "unlisted cause named without a flag",
+        unlisted,
+        lambda r: is_named(r) and not is_flagged(r),
+        0.05,
+    )
+    most("of which the record shows that the name is wrong", unlisted, is_misnamed, 0.05)
     for name in sorted({r["system"] for r in rows}):
         own = [r for r in done if r["system"] == name]
         nulls = [r for r in own if r["part"] == "null"]
