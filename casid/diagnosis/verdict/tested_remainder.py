@@ -20,6 +20,7 @@ from casid.diagnosis.evidence.residual.residual_tests import (
     NOISE,
     ResidualTests,
     residual_tests,
+    with_constancy,
 )
 from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted
@@ -51,6 +52,8 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
     """Test the residual of the last model; describe it where it is deterministic or changes."""
     level = (2 if adopted else 1) * ROUNDS.residual_share * search.alpha
     tests = tested_residual(at, search, level)
+    if not at.noise_absorbs_misfit and tests.verdict in _RANDOM:
+        tests = _with_constancy(tests, at, search, level)
     p_value = tests.adjusted
     if not at.noise_absorbs_misfit and tests.verdict in _RANDOM:
         beside = at if at.noise.spectra else None
@@ -59,7 +62,7 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
         # The residual was tested under the noise of sensors and inputs alone, of which it is much
         # more. With random forces in the noise, of spectra of their own, it may be nothing else.
         with_force = at.beside or search.under_disturbance(at.fit)
-        again = _tests(with_force, search, level)
+        again = _with_constancy(_tests(with_force, search, level), with_force, search, level)
         burst = _burst(again, with_force)
         if again.verdict in _RANDOM and burst >= level:
             found = disturbances_of(with_force, level)
@@ -69,8 +72,16 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
         if adopted and tests.verdict in _RANDOM:
             return Remainder(p_value, level)
     search.progress("describe the unexplained remainder")
-    description = _description(at, search, level)
+    description = _description(at, search, level, tests)
     return Remainder(p_value, level, description)
+
+
+def _with_constancy(
+    tests: ResidualTests, at: Weighted, search: Search, level: float
+) -> ResidualTests:
+    """The tests with that of parameters that come and go, which no search is led by."""
+    of = search.weighing
+    return with_constancy(tests, at, of.experiments, search.recorded, alpha=level, seed=of.seed)
 
 
 def _burst(tests: ResidualTests, at: Weighted) -> float:
@@ -106,9 +117,11 @@ def described(start: Weighted, search: Search, level: float, p_value: float) -> 
     return Remainder(p_value, level, description)
 
 
-def _description(at: Weighted, search: Search, level: float) -> Unexplained | None:
+def _description(
+    at: Weighted, search: Search, level: float, tests: ResidualTests | None = None
+) -> Unexplained | None:
     """The description of a model's misfit, if it is more than noise."""
     of = search.weighing
-    tests = tested_residual(at, search, level)
+    tests = tests or tested_residual(at, search, level)
     found = unexplained(at, of.experiments, search.recorded, alpha=level, seed=of.seed, tests=tests)
     return found if found.is_something else None

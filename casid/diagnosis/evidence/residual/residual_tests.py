@@ -166,9 +166,7 @@ def residual_tests(
     p_mean, p_power, p_amplitude = _changes(
         tested_in_time, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
     )
-    least = unsteady(at, experiments, recorded, linearised=along, seed=seed)
-    p_constant = 1.0 if least is None else least.p_value
-    p_time = min(1.0, 4 * min(p_mean, p_power, p_amplitude, p_constant))
+    p_time = min(1.0, 3 * min(p_mean, p_power, p_amplitude))
     share = correlated.share if correlated is not None else 0.0
     return ResidualTests(
         verdict=_verdict(p_spectrum, p_dependence, p_time, share, alpha),
@@ -180,11 +178,32 @@ def residual_tests(
         correlated=correlated,
         blocks=_blocks(whitened, [d.Ts for d in criterion.data]),
         innovation_blocks=_blocks(tested_in_time, [d.Ts for d in criterion.data]),
-        unsteady=least,
         p_mean=p_mean,
         p_power=p_power,
         p_amplitude=p_amplitude,
     )
+
+
+def with_constancy(
+    tests: ResidualTests,
+    at: Weighted,
+    experiments: Sequence[Experiment],
+    recorded: Mapping[str, str] | None = None,
+    *,
+    alpha: float = 0.05,
+    seed: int = 0,
+) -> ResidualTests:
+    """The tests of a residual with a fourth one over time: that parameters come and go.
+
+    Parameters as of `residual_tests`.
+    """
+    least = unsteady(at, experiments, recorded, seed=seed)
+    if least is None:
+        return tests
+    p_time = min(1.0, 4 * min(tests.p_mean, tests.p_power, tests.p_amplitude, least.p_value))
+    adjusted = min(1.0, 3 * min(tests.p_spectrum, tests.p_dependence, p_time))
+    new = replace(tests, p_time=p_time, adjusted=adjusted, unsteady=least)
+    return new.at_level(alpha)
 
 
 def _correlated(
