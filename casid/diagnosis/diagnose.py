@@ -24,6 +24,7 @@ from casid.diagnosis.search.findings import Findings, search_causes
 from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
 from casid.diagnosis.thresholds import BUDGET
 from casid.diagnosis.verdict.ended_changes import may_be_over
+from casid.diagnosis.verdict.error_bars import without_made_up
 from casid.diagnosis.verdict.judgement import Judgement, errs_in_held_out_alone, judge, notes_on
 from casid.diagnosis.verdict.not_accepted import refusal_notes
 from casid.diagnosis.verdict.sentences import noise_text
@@ -190,6 +191,11 @@ def _found(
 
 
 def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Findings:
+    """What was sought and found, without what makes up for a bound alone."""
+    return without_made_up(_sought(problem, split, settings))
+
+
+def _sought(problem: Problem, split: Split, settings: DiagnosisSettings) -> Findings:
     """The baseline fitted, and the causes that it is missing.
 
     Levels in gaps of inputs that are estimated by the outputs take up a part of what the model is

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import TINY
+from casid.diagnosis.search.findings import Findings
+from casid.diagnosis.search.refusals import Refusal
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.cause import Cause
 from casid.estimation.covariance import sandwich
@@ -78,3 +80,33 @@ def unknown_sizes(causes: Sequence[Cause], reported: Estimate) -> tuple[str, ...
             "the effect is there, not how large it is"
         )
     return tuple(out)
+
+
+def without_made_up(found: Findings) -> Findings:
+    """What was found, without causes that do no more than make up for bounds.
+
+    A gain that may not be as large as it is leaves what a step beside its input's explains. Beside
+    a cause of that kind nothing holds the gain, and the records determine neither to within itself.
+    """
+    fit, bare = found.extended_fit, found.base_fit
+    bars = extended_bars(found) if found.adopted else None
+    if fit is None or bars is None or bars.covariance is None:
+        return found
+    errors = np.sqrt(np.maximum(np.diag(bars.covariance), 0.0))
+    spread = zip(fit.criterion.names, errors, strict=True)
+    unknown = {name for name, sd in spread if sd > abs(fit.values[name])}
+    held = {*bare.solution.at_lower, *bare.solution.at_upper} & {*bare.criterion.model.parameters}
+    lost = sorted(held & unknown)
+    if not lost or any(a.candidate.names[0] not in unknown for a in found.adopted):
+        return found
+    why = Refusal(f"it makes up for {' and '.join(lost)}, held at a bound without it")
+    found.search.refused += [(a.candidate, why) for a in found.adopted]
+    own = found.baseline.fit if found.baseline.is_extended else None
+    return Findings(found.baseline, found.search, found.baseline.start, own)
+
+
+def extended_bars(found: Findings) -> ErrorBars | None:
+    """The error bars of the extended model, with all that was found of its causes."""
+    assert found.extended_fit is not None
+    shifts = [shift for a in found.adopted for shift in a.shifts]
+    return bars_of(found.extended_fit, found.corrected, [a.rounding for a in found.adopted], shifts)

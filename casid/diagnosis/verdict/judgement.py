@@ -18,7 +18,7 @@ from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.evidence.whitening.robust_errors import std_error
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
-from casid.diagnosis.verdict.error_bars import bars_of, unknown_sizes
+from casid.diagnosis.verdict.error_bars import bars_of, extended_bars, unknown_sizes
 from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
@@ -181,9 +181,7 @@ def _extended(problem: Problem, found: Findings, baseline: Estimate) -> Estimate
     fit, split = found.extended_fit, found.baseline.split
     if fit is None:
         return None
-    shifts = [shift for a in found.adopted for shift in a.shifts]
-    bars = bars_of(fit, found.corrected, [a.rounding for a in found.adopted], shifts)
-    extended = estimate_of(problem, fit, validation(fit, split), bars=bars)
+    extended = estimate_of(problem, fit, validation(fit, split), bars=extended_bars(found))
     if extended.model is None:
         return extended
     return replace(extended, model=extended_model(found, extended.model, baseline.model))
