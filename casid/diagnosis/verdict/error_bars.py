@@ -89,13 +89,13 @@ def without_made_up(found: Findings) -> Findings:
     a cause of that kind nothing holds the gain, and the records determine neither to within itself.
     """
     fit, bare = found.extended_fit, found.base_fit
-    bars = extended_bars(found) if found.adopted else None
+    held = {*bare.solution.at_lower, *bare.solution.at_upper} & {*bare.criterion.model.parameters}
+    bars = extended_bars(found) if found.adopted and held else None
     if fit is None or bars is None or bars.covariance is None:
         return found
     errors = np.sqrt(np.maximum(np.diag(bars.covariance), 0.0))
     spread = zip(fit.criterion.names, errors, strict=True)
     unknown = {name for name, sd in spread if sd > abs(fit.values[name])}
-    held = {*bare.solution.at_lower, *bare.solution.at_upper} & {*bare.criterion.model.parameters}
     lost = sorted(held & unknown)
     if not lost or any(a.candidate.names[0] not in unknown for a in found.adopted):
         return found

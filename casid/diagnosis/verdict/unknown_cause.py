@@ -57,7 +57,7 @@ def with_the_unnamed_alternative(
 def with_a_doubt(causes: Sequence[Cause], failing: str) -> list[Cause]:
     """The causes, beside the first of which stands what is unknown where they fail.
 
-    A law that passes for another one in the range that was fitted is told from it beyond.
+    Two laws that fit alike in the range that was fitted differ beyond it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A law that passes for another one in the range that was fitted is told from it beyond."""
+"""Two laws that fit alike in the range that was fitted differ beyond it."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
-from casid.diagnosis.evidence.residual.force_functions import TIME, Group, Table
+from casid.diagnosis.evidence.residual.force_functions import TIME, Group, Table, slope_of
 from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.evidence.residual.signatures import Regression
 from casid.diagnosis.evidence.whitening.prewhitening import Weighted
@@ -27,16 +27,15 @@ def regressions(
     recorded: Mapping[str, str] | None = None,
     *,
     places: Collection[str] | None = None,
-    linearised: Linearised | None = None,
     seed: int = 0,
 ) -> Iterator[tuple[str, list[str], Regression]]:
     """Every balance and output with the names of its functions and their regression.
 
-    `places` are those requested; all without. `linearised` is the fit's, where it is there already.
+    `places` are those requested; all without.
     """
     fit = at.unbiased or at.fit
     model, outputs = fit.criterion.model, fit.criterion.outputs
-    linearised = linearised or Linearised(fit.criterion, fit.x)
+    linearised = Linearised(fit.criterion, fit.x)
     inputs = [name for name, u in model.inputs.items() if u.kind != "generated"]
     own = {*model.states, *inputs}
     beside = {name: unit for name, unit in (recorded or {}).items() if name not in own}
@@ -88,7 +87,7 @@ def functions_of(
         out.append((f"{v} growing in time", _product((TIME, v), _growing)))
         out.append((f"{v} turned at half time", _product((TIME, v), _late)))
     if output is not None:
-        slope = f"slope of {output}"
+        slope = slope_of(output)
         out.append((slope, _single((slope,), lambda f: f)))
         out.append((f"{slope} growing in time", _product((TIME, slope), _growing)))
     for a, b in combinations(own, 2):

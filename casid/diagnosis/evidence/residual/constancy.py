@@ -40,19 +40,17 @@ def unsteady(
     experiments: Sequence[Experiment],
     recorded: Mapping[str, str] | None = None,
     *,
-    linearised: Linearised | None = None,
     seed: int = 0,
 ) -> Unsteady | None:
     """The parameter whose course along the records explains most by (1); None without any.
 
     Parameters
     ----------
-    linearised : the simulation of the fit that is tested, where it is there already.
     seed : of the antithetic draw.
     """
     fit = at.unbiased or at.fit
     criterion = fit.criterion
-    along = linearised or Linearised(criterion, fit.x)
+    along = Linearised(criterion, fit.x)
     total = sum(d.N * d.Ts for d in criterion.data)
     course = Group((), partial(_half_waves, total))
     places = {*criterion.model.balances, *criterion.outputs}

@@ -10,8 +10,8 @@ Three questions, each answered at one false-alarm rate and then put together by 
   them, and of each growing in time, as forces in every balance and as errors of every output, off
   the baseline's tangent (`signatures`).
 - Time. Cumulative sums of the residual and of its square are Brownian bridges, each in units of its
-  own long-run deviation (Inclan & Tiao 1994; Sanso, Arago & Carrion 2004, their kappa_2). Scores of
-  parameters that come and go (`constancy`).
+  own long-run deviation (Inclan & Tiao 1994; Sanso, Arago & Carrion 2004, their kappa_2). Of what
+  is left in the end also: scores of parameters that come and go (`with_constancy`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.residual.candidate_functions import regressions
 from casid.diagnosis.evidence.residual.constancy import Unsteady, unsteady
-from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.evidence.residual.signatures import Regression
 from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
@@ -155,8 +154,7 @@ def residual_tests(
     """
     fit = at.unbiased or at.fit
     criterion, x = fit.criterion, fit.x
-    along = Linearised(criterion, x)
-    whitened, correlated = _correlated(at, along, experiments, recorded, alpha=alpha, seed=seed)
+    whitened, correlated = _correlated(at, experiments, recorded, alpha=alpha, seed=seed)
     p_dependence = 1.0 if correlated is None else correlated.p_value
     # Gaps would pass for a residual that is too small, in samples and frequencies.
     whitened = [at.noise.completed(white, k) for k, white in enumerate(whitened)]
@@ -208,7 +206,6 @@ def with_constancy(
 
 def _correlated(
     at: Weighted,
-    along: Linearised,
     experiments: Sequence[Experiment],
     recorded: Mapping[str, str] | None,
     *,
@@ -217,16 +214,11 @@ def _correlated(
 ) -> tuple[list[Array], Correlated | None]:
     """The whitened residual, (N, ny) a record, and what it is correlated with most."""
     criterion = (at.unbiased or at.fit).criterion
-    ny, places = len(criterion.outputs), [*criterion.model.balances, *criterion.outputs]
+    places = [*criterion.model.balances, *criterion.outputs]
     whitened: list[Array] = []
     found: Correlated | None = None
-    for place, named, regression in regressions(
-        at, experiments, recorded, linearised=along, seed=seed
-    ):
-        if not whitened:
-            ends = np.cumsum([0, *(d.N * ny for d in criterion.data)])
-            parts = zip(ends[:-1], ends[1:], strict=True)
-            whitened = [regression.e[a:b].reshape(-1, ny) for a, b in parts]
+    for place, named, regression in regressions(at, experiments, recorded, seed=seed):
+        whitened = whitened or regression.residuals
         tested = regression.test()
         if not tested:
             continue

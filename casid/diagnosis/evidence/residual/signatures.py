@@ -140,7 +140,7 @@ class Regression:
             own = slope(y, d.Ts, backward=bool(self._late), anew=criterion.starts_anew(k))
             table |= {self.place: y, slope_of(self.place): own}
             table |= {name: one_sample_late(table[name]) for name in self._late}
-            of_late = {f"slope of {name}": name for name in self._late}
+            of_late = {slope_of(name): name for name in self._late}
             table |= {
                 k: slope(table[n], d.Ts, backward=True) for k, n in of_late.items() if k in table
             }
@@ -179,7 +179,7 @@ class Regression:
         """
         inputs = self.criterion.model.inputs
         own = [name for name, entry in inputs.items() if "zoh" in entry.holds]
-        held = {n for name in own for n in (name, f"slope of {name}") if n in table}
+        held = {n for name in own for n in (name, slope_of(name)) if n in table}
         if not any(held & {*group.names} for group in self.groups):
             return None
         before = {**table, **{name: one_sample_late(table[name]) for name in held}}
@@ -195,8 +195,7 @@ class Regression:
 
         Residual, tangent and signatures go through it alike, as in generalised least squares.
         """
-        of_outputs = [self.e.reshape(-1, self.ny)[rows] for rows in self._records]
-        models = [autoregression([e[:, i] for e in of_outputs]) for i in range(self.ny)]
+        models = [autoregression([e[:, i] for e in self.residuals]) for i in range(self.ny)]
         out = copy.copy(self)
         own = (self.e[:, None], self.tangent, self.psi, self.between)
         e, out.tangent, out.psi, out.between = (self._behind(models, rows) for rows in own)
@@ -204,6 +203,11 @@ class Regression:
         out.odd = None if self.odd is None else self._behind(models, self.odd)
         out.size = np.sqrt(np.maximum(np.einsum("ij,ij->j", out.psi, out.psi), TINY))
         return out
+
+    @property
+    def residuals(self) -> list[Array]:
+        """The whitened residual (N, ny) of each record."""
+        return [self.e.reshape(-1, self.ny)[rows] for rows in self._records]
 
     @property
     def _records(self) -> list[slice]:

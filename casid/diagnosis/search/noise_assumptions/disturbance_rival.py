@@ -102,7 +102,7 @@ def weighed_against_disturbances(
     ----------
     before : a search beside the disturbances of the model as it is, if there was one.
     """
-    base, start = baseline.fit, baseline.start
+    base, start, split = baseline.fit, baseline.start, baseline.split
     held = bool(base.solution.active)
     if not start.noise_absorbs_misfit and (found.adopted or not held_beyond_chance(start.fit)):
         return search, start, found
@@ -131,7 +131,7 @@ def weighed_against_disturbances(
         found = replace(found, at=replace(found.at, beside=own))
         least = minus_log_likelihood_beside(again.weighing, found, own, bare)
         score = 2 * least + _charge(bare, found.adopted, search)
-        errors = _errors(baseline.fit, fit, baseline.split)
+        errors = _errors(base, fit, split)
         may_be_random = not (is_predicted(*errors) or is_more_than_noise(bare, again))
         charged = _charged(found, bare, search, least) if may_be_random else found
         is_random = (may_be_random and nothing <= score) or not _is_significant(charged, search)
@@ -140,9 +140,8 @@ def weighed_against_disturbances(
         found = charged
         if not is_random and is_all_but_predicted(*errors) and is_more_than_noise(own, again):
             # What little is left is no disturbance: no search beside one is made for it.
-            if before is None or not before.score < score:
-                return search, start, found
-            if not (before.is_likelier and _predicts_better(found, before.found, baseline.split)):
+            is_named = before is not None and before.is_likelier and before.score < score
+            if before is None or not is_named or not _predicts_better(found, before.found, split):
                 return search, start, found
             return replace(before.search, refused=search.refused), before.bare, before.found
     beside = before if before is not None and before.of is bare else None
@@ -150,7 +149,7 @@ def weighed_against_disturbances(
     _add_refused(search, beside.search.refused)
     other = beside.found
     if beside.is_likelier and beside.score < min(score, nothing):
-        if is_random or takes_place_of(found, other, search, again, baseline.split):
+        if is_random or takes_place_of(found, other, search, again, split):
             return replace(beside.search, refused=search.refused), beside.bare, other
     if is_random:
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
