@@ -38,6 +38,7 @@ _STAGES = {
 
 _LONG = re.compile(r"\d+\.\d{6,}(?:e[-+]\d+)?")  # numbers of more digits than a reader wants
 _GUARD = re.compile(r" [+-] \d+(?:\.\d+)?e-1\d\d\b")  # keeps a division finite, and is nothing
+_PRODUCT, _GAP = "<mo>&InvisibleTimes;</mo>", '<mspace width="0.2em"></mspace>'
 _TURN = re.compile(r"(?<![\w.])6\.28318530717\d+(?![\w.^])")  # rad in a turn
 
 
@@ -177,7 +178,7 @@ def _equations(model: Model) -> Iterator[ModelEquation]:
         equation = _equation(b.name, left, dot if is_one else rf"{bracketed}\,{dot}", terms, b.unit)
         factor, rate = _mathml(mass), _rate_mathml(b.rate)
         if not is_one:  # an inertia that has no MathML leaves none to the left side
-            rate = factor and f'{factor}<mspace width="0.2em"></mspace>{rate}'
+            rate = factor and f"{factor}{_GAP}{rate}"
         yield replace(equation, left_mathml=rate)
     for name, (expression, unit) in model.outputs.items():
         equation = _equation(f"output {name}", name, _symbol(name), [read(expression, unit)], unit)
@@ -302,7 +303,7 @@ def _latex(expression: Expr) -> str:
     if algebra is None:
         return _text(_written(expression))
     names = {s: _derivative(s.name) for s in algebra.free_symbols}
-    return str(sympy.latex(algebra, symbol_names=names))
+    return str(sympy.latex(algebra, symbol_names=names, mul_symbol=r" \, "))
 
 
 def _mathml(expression: Expr) -> str:
@@ -318,7 +319,7 @@ def _mathml(expression: Expr) -> str:
     names = {s: f"d{name[4:]}/dt" if name.startswith("der_") else name for s, name in names.items()}
     safe = algebra.xreplace({s: sympy.Symbol(name) for s, name in names.items()})
     content = str(mathml(safe, printer="presentation")).replace("<mo>-</mo>", "<mo>\u2212</mo>")
-    content = content.replace(f">{MARK}", ">")
+    content = content.replace(f">{MARK}", ">").replace(_PRODUCT, f"{_PRODUCT}{_GAP}")
     return f"<mrow><mo>(</mo>{content}<mo>)</mo></mrow>" if safe.is_Add else content
 
 

@@ -191,7 +191,7 @@ def test_the_equations_mark_what_was_added():
     assert [e.name for e in found.changed] == ["force", "delay of position"]
     latex = found.latex().splitlines()
     assert latex[1] == r"\dot{x} &= v \\"
-    damped = r"- k x - d v + \mathrm{force} + \boxed{- d_{2} v \left|{v}\right|} \\"
+    damped = r"- k \, x - d \, v + \mathrm{force} + \boxed{- d_{2} \, v \, \left|{v}\right|} \\"
     assert latex[2] == r"m\,\dot{v} &= " + damped
     assert not equations_of(plain).changed
     jump = equations_of(parameter_jump(plain, "m", 2.0).extend(plain), plain)
@@ -235,7 +235,7 @@ def test_a_periodic_disturbance_is_written_with_the_time():
         "a_cos * cos(2 pi * frequency * (t - 31470 s))",
         "a_sin * sin(2 pi * frequency * (t - 31470 s))",
     ]
-    assert r"\cos{\left(2 \pi \text{(t - 31470 s)}" in found.latex()
+    assert r"\cos{\left(2 \, \pi \, \text{(t - 31470 s)}" in found.latex()
     assert "<mi>&pi;</mi>" in equation.terms[-1].mathml
     assert "6.28" not in str(found) + found.latex() + "".join(t.mathml for t in equation.terms)
 
