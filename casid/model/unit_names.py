@@ -204,6 +204,7 @@ _PREFIXED = (
     ("VA", "VA", "kM"),
     ("var", "var", "kM"),
     ("g", "gram", "pnu"),
+    ("g0", "g0", "mu"),
     ("L", "L", "udch"),
 )
 NAMES |= {
@@ -289,6 +290,9 @@ ALIASES: dict[str, str] = {
     "gn": "g0",
     "g_n": "g0",
     "gee": "g0",
+    "mgn": "mg0",
+    "mg_n": "mg0",
+    "mgee": "mg0",
     "sec": "s",
     "second": "s",
     "seconds": "s",
@@ -365,6 +369,7 @@ AMBIGUOUS: dict[str, str] = {
     "nM": "nmi (nautical mile) or N m (newton metre)",
     "g": "gram (mass) or g0 (standard gravity, 9.80665 m/s^2)",
     "G": "g0 (standard gravity, 9.80665 m/s^2); gauss is not in the list",
+    "mG": "mg0 (a thousandth of standard gravity); gauss is not in the list",
     "gs": "g0 (standard gravity, 9.80665 m/s^2) or gram s",
     "M": "m (metre); mega alone is no unit",
     "T": "t (tonne), s (time) or tesla",

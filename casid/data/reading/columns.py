@@ -153,7 +153,8 @@ def _with_unit(table: Table, name: str, spec: ColumnSpec) -> ColumnSpec:
             unit, origin = _read_unit(table, name, spec)
         elif spec.target is not None:
             written = written_unit(unit)
-            unit = unit if written.unit else settled(written, spec.target) or unit
+            fits = _measures(written, spec.target)
+            unit = unit if fits else settled(written, spec.target) or unit
         to_si([], unit, spec.target)
     except UnitError as error:
         raise UnitError(
@@ -162,17 +163,22 @@ def _with_unit(table: Table, name: str, spec: ColumnSpec) -> ColumnSpec:
     return ColumnSpec(spec.column, unit, spec.target, origin)
 
 
+def _measures(found: HeaderUnit, target: str) -> bool:
+    """Whether a unit, as it is usually read, has the target's dimension."""
+    return found.unit is not None and same_dimension(found.unit, target)
+
+
 def _read_unit(table: Table, name: str, spec: ColumnSpec) -> tuple[str, str]:
     """The unit of a column, and where it was read."""
     found, target = unit_of_column(table, spec.column), spec.target
     origin = "from the file's units" if spec.column in table.units else "from its name"
-    if found is not None and found.unit is not None:
-        if found.is_sure or target is None or same_dimension(found.unit, target):
-            return found.unit, origin
-    elif found is not None and target is not None:
+    if found is not None and target is not None and not _measures(found, target):
         one = settled(found, target)
         if one is not None:
             return one, f"{origin}, the reading of {found.text!r} that fits"
+    if found is not None and found.unit is not None:
+        if found.is_sure or target is None or _measures(found, target):
+            return found.unit, origin
     if found is not None and found.unit is None and found.why:
         example, signal = likely_reading(found.text), "SIGNAL" if name == spec.column else name
         likely = example is not None and (target is None or same_dimension(example, target))

@@ -131,14 +131,26 @@ def test_units_that_do_not_match_or_are_ambiguous_are_refused_with_channel_and_c
 
 @pytest.mark.parametrize(
     ("given", "target", "size"),
-    [("g", "m/s^2", 9.80665), ("g", "kg", 1e-3), ("KN", "N", 1e3), ("F", "K", 5 / 9)],
-)
+    [("g", "m/s^2", 9.80665), ("g", "kg", 1e-3), ("KN", "N", 1e3), ("F", "K", 5 / 9),
+     ("mg", "m/s^2", 9.80665e-3), ("mg", "kg", 1e-6), ("mG", "m/s^2", 9.80665e-3)],
+)  # fmt: skip
 def test_of_two_readings_of_a_given_unit_the_one_that_fits_the_model_is_taken(
     csv, given, target, size
 ):
     record = read_record(csv(rows(T)), {"f": ("force_N", given, target)})
     plain = read_record(csv(rows(T)), {"f": ("force_N", "1", "1")})
     np.testing.assert_allclose(np.diff(record["f"]), size * np.diff(plain["f"]), atol=1e-9)
+
+
+def test_a_thousandth_of_g_is_the_reading_of_mg_where_the_model_has_an_acceleration(csv):
+    path = csv("t,ACCX [mg],dose [mg]\n0,100,100\n1,200,200\n2,300,300\n")
+    record = read_record(
+        path, {"a": ColumnSpec("ACCX [mg]", target="m/s^2"), "m": ColumnSpec("dose [mg]")}
+    )
+    assert record["a"] == pytest.approx([0.980665, 1.96133, 2.941995])
+    assert record["m"] == pytest.approx([1e-4, 2e-4, 3e-4])
+    with pytest.raises(UnitError, match="'mg' measures kg, but 'rad'"):
+        read_record(path, {"a": ColumnSpec("ACCX [mg]", target="rad")})
 
 
 def test_a_unit_in_brackets_is_the_file_s_word_and_an_ending_only_a_hint(csv):
