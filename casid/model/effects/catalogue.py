@@ -226,6 +226,9 @@ def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Eff
             *(linear_loss(model, place, level, sided="positive") for level in far),
             linear_restoring_force(model, place),
         ]
+        balance = model.balances.get(place.where)
+        if balance and any(vanishes_with(term, place.velocity) for term in balance.terms):
+            found.append(linear_loss(model, place, 0.0))  # a leak of what has a natural zero
     different = {(e.shape, *(p.start for p in e.parameters)): e for e in found if e is not None}
     return list(different.values())
 

@@ -113,6 +113,21 @@ def test_one_of_the_losses_acts_much_as_any_other_wherever_it_vanishes(room: flo
     assert max(abs(float(wanted @ each)) for each in acts) > np.cos(np.radians(22.0))
 
 
+@pytest.mark.parametrize("has_zero", [True, False])
+def test_what_leaks_from_a_store_with_a_natural_zero_is_a_loss_of_one_number(has_zero: bool):
+    """A term of the balance that vanishes with the pressure tells that its zero means empty."""
+    m = casid.Model("receiver")
+    p, u, q = m.state("p", "Pa"), m.input("u", "%"), m.input("q", "m^3/s")
+    K = m.parameter("K", "m^3/(s Pa)", start=1e-9)
+    ambient = 0.0 if has_zero else m.constant("p_a", 1e5, "Pa")
+    V = m.constant("V", 1e-7, "m^3/Pa")
+    m.balance(p, "mass", inertia=V, terms=[q, -K * u * (p - ambient)])
+    m.output("p_m", p, "Pa")
+    sizes = Sizes({"p": 5e5}, {"p_m": 6e5}, (0.0, 1e2), 1.0, ranges={"p": (4e5, 6e5)})
+    losses = [e for e in catalogue(m, sizes, {}) if e.key == ("unknown", "mass: p")]
+    assert any(len(e.parameters) == 1 for e in losses) is has_zero
+
+
 def belt() -> casid.Model:
     """Two pulleys and a belt that drives the second in proportion to its slip."""
     m = casid.Model("belt")
