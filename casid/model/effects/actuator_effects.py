@@ -149,6 +149,8 @@ def input_backlash(model: Model, channel: str, largest: float, *, least: float =
 def input_deadzone(model: Model, channel: str, largest: float, *, least: float = 0.0) -> Effect:
     """A recorded command that acts beyond a gap alone, as that of a valve with overlap does.
 
+    A command of one sign, as of a valve that only opens, acts once it has passed the gap.
+
     What acts is u - clip(u, -gap, gap). The gap is at most `largest` (the channel's SI unit), and
     more than `least`.
 
@@ -207,5 +209,6 @@ def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
         )
         if channel not in played and least < widest:
             yield input_backlash(model, channel, widest, least=least)
-        if min(-low, high) > ACTUATORS.both_signs * largest and least < largest:
-            yield input_deadzone(model, channel, ACTUATORS.gap * 2 * largest, least=least)
+        comes_to_zero = max(low, -high, 0.0) <= ACTUATORS.zero * largest
+        if comes_to_zero and least < widest:
+            yield input_deadzone(model, channel, widest, least=least)

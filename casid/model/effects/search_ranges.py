@@ -231,9 +231,10 @@ class Actuators:
         "noise out of a command that was measured",
         _ACTUATORS,
     )
-    both_signs: float = _is(
-        0.2,
-        "of the largest command, that it has to the other side where it has a dead zone",
+    zero: float = _is(
+        0.02,
+        "of the largest command, within which it comes to zero where it has a dead zone: that of a "
+        "command that does not is a bias",
         _ACTUATORS,
     )
     tick: float = _is(0.005, "of the widest play, what is none beside it", _ACTUATORS)

@@ -11,8 +11,13 @@ import casid
 from casid.errors import ModelError
 from casid.estimation.simulation.channels.sensor_dynamics import play
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.actuator_effects import actuator_saturation, input_backlash, input_deadzone
-from casid.model.effects.effect import Effect
+from casid.model.effects.actuator_effects import (
+    actuator_effects_of,
+    actuator_saturation,
+    input_backlash,
+    input_deadzone,
+)
+from casid.model.effects.effect import Effect, Sizes
 
 Ts, N = 0.1, 400
 T = np.arange(N) * Ts
@@ -131,6 +136,23 @@ def test_a_valve_with_overlap_passes_what_exceeds_it(gap: float):
     slope = level_under(-np.sign(COMMAND) * (np.abs(COMMAND) > gap))
     jacobian = c.simulated(c.start, 0).jacobian[:, 0, c.names.index("gap_u")]
     assert jacobian == pytest.approx(slope, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "has_one"),
+    [
+        (-1.0, 1.0, True),
+        (0.0, 1.0, True),
+        (-1.0, 0.0, True),
+        (0.3, 1.0, False),
+        (-1.0, -0.3, False),
+    ],
+)
+def test_a_command_has_a_dead_zone_where_it_comes_to_zero(low: float, high: float, has_one: bool):
+    """Of a command that never comes near zero the dead zone would be a bias."""
+    sizes = Sizes({"h": 1.0}, {"level": 1.0}, (0.0, 1e2), 1.0, readings={"u": (low, high)})
+    found = [e for e in actuator_effects_of(tank(), sizes) if e.kind == "deadzone"]
+    assert [e.where for e in found] == ["u"] * has_one
 
 
 def stepped(seed: int, play: float = 0.0) -> casid.Record:
