@@ -1,6 +1,7 @@
 """Effects in the structure: an actuator between command and action, a part that moves along.
 
-The part swings beside a body or between two, and where a balance has a position; elsewhere it
+The part swings beside a body or between two, and where a balance has a position, or its force
+relaxes there as that of rubber; elsewhere it
 follows with a time constant: a second thermal mass, the branch of eddy currents, a compartment.
 """
 
@@ -23,7 +24,14 @@ from casid.model.effects.channel_effects import (
     is_lagging,
     require_command,
 )
-from casid.model.effects.effect import Effect, Sizes, added_state, is_null, known_while_null
+from casid.model.effects.effect import (
+    RELAXATION,
+    Effect,
+    Sizes,
+    added_state,
+    is_null,
+    known_while_null,
+)
 from casid.model.effects.place import Expr, Place, balance_place, in_symbols_of, is_mechanical
 from casid.model.effects.places import place_named, places_of
 from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES, RANGES
@@ -146,6 +154,58 @@ def _change(model: Model, velocity: Expr) -> Expr:
     return sum(ca.jacobian(v, s) * model.der(s) for s in own)
 
 
+def relaxing_spring(model: Model, where: str | Place, tau: float) -> Effect:
+    """A spring whose force relaxes with a time constant `tau` [s] at first: rubber, creep.
+
+    The spring and a damper stand in series, Maxwell's element: with v the rate of a balance, or a
+    relative motion between two bodies, in both,
+
+        r' = v - r / tau                                                                     (3)
+
+    and -k_m r acts on it. The stretch r of the spring when the record begins is estimated. Without
+    k_m nothing shows tau: it is then known, and the spring begins without a force.
+
+    Raises
+    ------
+    ModelError
+        If the place has no rate, or one that an input enters, of which no derivative is known.
+    """
+    place = place_named(model, where)
+    if not _swings(model, place):
+        raise ModelError(f"{model.name}: {place.where} has no rate of states alone for a spring")
+    stiffness = unit_quotient(unit_quotient(place.unit, place.velocity_unit, 1), "s", 1)
+    p = (Parameter("k_m", stiffness, 0.0, lower=0.0), _time_constant(tau))
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        """Add the stretch of a spring that the velocity drives, and its force."""
+        k, time_constant = (new.symbol(n) for n in names)
+        length = unit_quotient(place.velocity_unit, "1/s", 1)
+        r = added_state(new, "r_m", length, initial=0.0 if is_null(new, names) else None)
+        new.derivative(r, place.velocity - r / time_constant)
+        place.add(new, -k * r)
+        known_while_null(new, names)
+
+    return Effect(
+        "missing_mode",
+        place.where,
+        p,
+        apply,
+        sided="positive",
+        variant=tau,
+        cost=MISSING_STORES.cost,
+        priority=1,
+        shape=RELAXATION,
+        description=f"{place.a_quantity()} that relaxes with a time constant, as that of rubber, "
+        f"is missing ({place.words or f'in the {place.where} balance'})",
+    )
+
+
+def _time_constant(tau: float) -> Parameter:
+    """The time constant of a further store or spring, searched about `tau` [s]."""
+    lower, upper = MISSING_STORES.lower * tau, MISSING_STORES.upper * tau
+    return Parameter("tau_m", "s", tau, lower=lower, upper=upper)
+
+
 def missing_store(model: Model, balance: str, tau: float) -> Effect:
     """A store that follows the one of a balance, with a time constant `tau` [s] at first.
 
@@ -159,16 +219,7 @@ def missing_store(model: Model, balance: str, tau: float) -> Effect:
     b = model.balances[balance]
     rate = model.states[b.rate].unit
     unit, shown = _inertia_units(model, balance_place(model, balance))
-    p = (
-        Parameter("C_m", unit, 0.0, lower=0.0),
-        Parameter(
-            "tau_m",
-            "s",
-            tau,
-            lower=MISSING_STORES.lower * tau,
-            upper=MISSING_STORES.upper * tau,
-        ),
-    )
+    p = (Parameter("C_m", unit, 0.0, lower=0.0), _time_constant(tau))
 
     def apply(new: Model, names: Sequence[str]) -> None:
         """Add a store that follows the level with its time constant, and its flow."""
@@ -242,6 +293,7 @@ def missing_modes_of(model: Model, sizes: Sizes, Ts: float | None = None) -> lis
     times = time_constants(sizes, Ts)
     found = modes_at(model, mode_frequencies(sizes, Ts))
     swinging = {e.where for e in found}
+    found += [relaxing_spring(model, p, t) for p in _swinging_places(model) for t in times]
     for balance, b in model.balances.items():
         if balance not in swinging and not is_mechanical(b.unit):
             found += [missing_store(model, balance, tau) for tau in times]
@@ -250,5 +302,9 @@ def missing_modes_of(model: Model, sizes: Sizes, Ts: float | None = None) -> lis
 
 def modes_at(model: Model, frequencies: Sequence[float]) -> list[Effect]:
     """Parts that may swing along, each with natural frequencies [rad/s] to begin from."""
-    places = [p for p in places_of(model) if _swings(model, p)]
+    places = _swinging_places(model)
     return [missing_mode(model, place, omega) for place in places for omega in frequencies]
+
+
+def _swinging_places(model: Model) -> list[Place]:
+    return [p for p in places_of(model) if _swings(model, p)]

@@ -21,6 +21,7 @@ from casid.model.effects.structure_effects import (
     missing_modes_of,
     missing_store,
     mode_frequencies,
+    relaxing_spring,
     structure_effects_of,
     time_constants,
 )
@@ -232,8 +233,10 @@ def test_pinned_at_zero_a_mode_costs_no_sensitivities_and_its_own_stays_exact():
 
 
 def test_modes_are_sought_in_balances_of_inertia_from_slow_to_fast():
-    found = missing_modes_of(oscillator(), SIZES, TS)
+    every = missing_modes_of(oscillator(), SIZES, TS)
+    found = [e for e in every if not e.is_store]
     assert len(found) == MISSING_MODES.frequencies
+    assert len(every) == len(found) + MISSING_STORES.time_constants  # springs that relax
     assert len({e.key for e in found}) == 1
     assert found[0].parameters[0].unit == "N s^2/m"
     frequencies = mode_frequencies(SIZES, TS)
@@ -281,6 +284,61 @@ def test_a_short_lag_of_a_held_input_is_near_no_lag_and_has_its_derivative(tau: 
     assert (above - line) / step == pytest.approx(change, abs=1e-4)
     if tau == 0.0:
         assert line == pytest.approx(np.stack([steps] * 3, axis=1), abs=1e-12)
+
+
+# -- springs that relax ---------------------------------------------------------------------------
+
+RUBBER, RELAXING = 20.0, 0.4  # N/m, s
+
+
+def on_rubber() -> np.ndarray:
+    """The body on a spring beside which a spring and a damper stand in series, by scipy.
+
+    The force F of both in series gives dF/dt / k + F / c = v, with c = k tau.
+    """
+    c = RUBBER * RELAXING
+
+    def rate(t, z):
+        x, v, F = z
+        return [v, (-K * x - D * v - F + np.interp(t, T, COMMAND)) / M, RUBBER * (v - F / c)]
+
+    solved = solve_ivp(rate, (0, T[-1]), np.zeros(3), t_eval=T, max_step=TS, rtol=1e-8, atol=1e-11)
+    return solved.y[0]
+
+
+def test_a_spring_that_relaxes_is_one_in_series_with_a_damper():
+    m = oscillator()
+    model, names = relaxing_spring(m, "force balance", RELAXING).extended(m)
+    assert [model.parameters[n].unit for n in names] == ["N/m", "s"]
+    assert positions(model) == pytest.approx(positions(m), abs=1e-15)
+    starts = {"k_m": RUBBER, "tau_m": RELAXING}
+    y = positions(relaxing_spring(m, "force balance", RELAXING).extend(m, starts=starts))
+    exact = on_rubber()
+    assert np.abs(y - exact).max() < 3e-4 * np.abs(exact).max()
+    assert np.abs(positions(m) - exact).max() > 0.1 * np.abs(exact).max()
+
+
+@pytest.mark.slow
+def test_rubber_is_named_with_its_stiffness_and_its_time():
+    noise = 2e-4 * np.random.default_rng(8).standard_normal(N)
+    record = casid.Record(
+        {"force": COMMAND, "position": on_rubber() + noise}, {"force": "N", "position": "m"}, Ts=TS
+    )
+    m = casid.Model("body")
+    x, v = m.state("x", "m", initial=0.0), m.state("v", "m/s", initial=0.0)
+    force = m.input("force", "N", hold="foh", known=True)
+    k, d = m.parameter("k", "N/m", start=K), m.parameter("d", "N s/m", start=D)
+    m.derivative(x, v)
+    m.balance(v, "force balance", inertia=m.constant("M", M, "kg"), terms=[-k * x, -d * v, force])
+    m.output("position", x, "m")
+    found = casid.diagnose(casid.Problem("rubber", m), record)
+    (cause,) = found.causes
+    assert (cause.kind, cause.where) == ("missing_mode", "force balance")
+    assert "relaxes with a time constant, as that of rubber" in str(found)
+    for name, true in (("k_m", RUBBER), ("tau_m", RELAXING)):
+        size = next(p for p in cause.parameters if p.name == name)
+        assert abs(size.value - true) < 3 * size.std_error
+        assert true > 5 * size.std_error
 
 
 # -- stores ---------------------------------------------------------------------------------------
