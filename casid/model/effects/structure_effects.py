@@ -1,8 +1,8 @@
 """Effects in the structure: an actuator between command and action, a part that moves along.
 
 The part swings beside a body or between two, and where a balance has a position, or its force
-relaxes there as that of rubber; elsewhere it
-follows with a time constant: a second thermal mass, the branch of eddy currents, a compartment.
+relaxes there as that of rubber; elsewhere it follows with a time constant: a second thermal mass,
+the branch of eddy currents, a compartment.
 """
 
 from __future__ import annotations
