@@ -50,7 +50,6 @@ OF_SAMPLES = ("outliers", "saturation")
 """Kinds that spoil samples, and leave the rest of the record as it is."""
 
 HYSTERESIS_SHAPE = "hysteresis"
-RELAXATION = "relaxation"
 """Of a force that depends on the motion before, which no kind names."""
 
 

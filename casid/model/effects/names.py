@@ -66,6 +66,9 @@ _COURSES = {
 }
 """What is added to the words for a constant that is not there all the time."""
 
+RELAXATION, RELAXES = "relaxation", "relaxes with a time constant"
+"""Shape of the force of a spring and a damper in series, and what it does, in words."""
+
 LATER_THAN_RECORDED = "acts later than it is recorded"
 RECORDED_LATE = "is recorded later than it acts"
 """What a measured input does: the system is late, or its sensor is. The one undoes the other."""
@@ -178,6 +181,8 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     own, _, source = at.partition("~")
     if kind == "actuator_saturation" and (variant == RATE or description == RATE_LIMIT):
         return f"rate limit of the actuator of {at}"
+    if kind == "missing_mode" and (variant == RELAXATION or RELAXES in description):
+        return f"force that relaxes in {place}"
     delay = _DELAYS.get(description) or _DELAYS.get(variant)
     if kind == "time_delay" and delay:
         return delay.format(where=at)

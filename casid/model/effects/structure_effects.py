@@ -24,14 +24,8 @@ from casid.model.effects.channel_effects import (
     is_lagging,
     require_command,
 )
-from casid.model.effects.effect import (
-    RELAXATION,
-    Effect,
-    Sizes,
-    added_state,
-    is_null,
-    known_while_null,
-)
+from casid.model.effects.effect import Effect, Sizes, added_state, is_null, known_while_null
+from casid.model.effects.names import RELAXATION, RELAXES
 from casid.model.effects.place import Expr, Place, balance_place, in_symbols_of, is_mechanical
 from casid.model.effects.places import place_named, places_of
 from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES, RANGES
@@ -195,8 +189,8 @@ def relaxing_spring(model: Model, where: str | Place, tau: float) -> Effect:
         cost=MISSING_STORES.cost,
         priority=1,
         shape=RELAXATION,
-        description=f"{place.a_quantity()} that relaxes with a time constant, as that of rubber, "
-        f"is missing ({place.words or f'in the {place.where} balance'})",
+        description=f"{place.a_quantity()} that {RELAXES}, as that of rubber, is missing "
+        f"({place.words or f'in the {place.where} balance'})",
     )
 
 
