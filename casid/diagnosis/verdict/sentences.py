@@ -161,6 +161,8 @@ def says_kind(
     if is_relative and kind in _OF_RELATIVES:
         return _OF_RELATIVES[kind].format(where=where)
     place = f"the relative motion {where}" if is_relative else f"the {where} balance"
+    if " and " in where:
+        place = f"the plane of {where}"
     restoring = f"the restoring {where if where in _FORCES else f'term of {place}'}"
     restoring = f"the spring that acts on {where}" if is_relative else restoring
     own, _, source = where.partition("~")

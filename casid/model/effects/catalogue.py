@@ -56,6 +56,7 @@ from casid.model.effects.parameter_effects import (
 )
 from casid.model.effects.place import Place
 from casid.model.effects.places import places_of
+from casid.model.effects.planes import planes_of
 from casid.model.effects.search_ranges import (
     CONTACT_RANGES,
     FRICTION_RANGES,
@@ -107,6 +108,8 @@ def catalogue(
             for channel, unit in recorded.items():
                 reading = sizes.channels.get(channel)
                 effects += extra_inputs_of(model, place.where, channel, unit, reading)
+    for plane in planes_of(model):
+        effects += _resistances_along(model, plane, sizes)
     effects += _power_laws(model, sizes)
     effects += uptakes_of(model, sizes.ranges)
     effects += missing_links(model)
@@ -176,6 +179,13 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
     if is_signed and not place.is_mechanical and not place.is_relative:
         return effects
     return effects + unnamed_effects(model, place, speed, is_signed=is_signed)
+
+
+def _resistances_along(model: Model, plane: Place, sizes: Sizes) -> list[Effect]:
+    """Dry friction, or a dead voltage, and drag that oppose a vector."""
+    rms = max(sizes.motion_of(plane.velocity).rms, 1e-12)
+    dry = coulomb_friction(model, plane, SMOOTHING.speed * rms)
+    return [dry, quadratic_damping(model, plane)] if plane.is_mechanical else [dry]
 
 
 def _levels_of_rest(model: Model, place: Place, motion: Motion) -> list[float]:

@@ -31,6 +31,7 @@ class Place:
     stiffness, damping : K and C of the model's own force -K q - C v in the first equation, None
         where it has none.
     velocity_name, position_name : the coordinates in symbols.
+    is_vector : the velocity is the size of a vector, and the factors are its direction.
     """
 
     where: str
@@ -44,6 +45,7 @@ class Place:
     position_name: str
     stiffness: Expr | None = None
     damping: Expr | None = None
+    is_vector: bool = False
 
     @property
     def is_mechanical(self) -> bool:
@@ -72,9 +74,12 @@ class Place:
         """The equations that a force on a relative motion enters; "" for a balance."""
         if not self.is_relative:
             return ""
+        if self.is_vector:
+            rows = " and ".join(row for row, _ in self.shares)
+            return f"acts along {self.velocity_name}, in {rows}"
         factors = [(row, formula_text(f)) for row, f in self.shares]
-        rows = [row if f == "1" else f"{row} times {f}" for row, f in factors]
-        return f"acts on {self.position_name or self.where} in {' and in '.join(rows)}"
+        each = [row if f == "1" else f"{row} times {f}" for row, f in factors]
+        return f"acts on {self.position_name or self.where} in {' and in '.join(each)}"
 
     def add(self, model: Model, force: Expr) -> None:
         """Add a force to every equation that it enters (used by effects on their own copy)."""

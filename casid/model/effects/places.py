@@ -12,6 +12,7 @@ from __future__ import annotations
 from casid.errors import ModelError, nearest
 from casid.model.effects.elements import elements_of
 from casid.model.effects.place import Place, balance_place
+from casid.model.effects.planes import planes_of
 from casid.model.model import Model
 
 
@@ -32,7 +33,7 @@ def place_named(model: Model, where: str | Place) -> Place:
         return where
     if where in model.balances:
         return balance_place(model, where)
-    found = {p.where: p for p in elements_of(model)}
+    found = {p.where: p for p in (*elements_of(model), *planes_of(model))}
     if where not in found:
         places = [*model.balances, *found]
         raise ModelError(

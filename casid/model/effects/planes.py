@@ -1,0 +1,102 @@
+"""Motions in a plane or in space, whose friction opposes the direction of the whole of them.
+
+The rates of two or three balances are then the components of one vector: of a puck on ice or a load
+that is carried, along fixed axes with one mass, or of a current in axes that turn with a shaft.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.elements import elements_of
+from casid.model.effects.place import Expr, Place, is_electrical, is_mechanical, is_zero
+from casid.model.model import Model
+
+_LEAST = 1e-9
+"""Speed [SI unit] below which no direction is resolved: a simulation may start at rest."""
+
+
+def planes_of(model: Model) -> list[Place]:
+    """The vectors whose components are the rates of two or three balances of a model.
+
+    The coordinate is the size v of the vector, and a force f(v) along it gives each balance its
+    component, f(v) x/v.
+    """
+    return [_plane(model, group) for group in _groups(model)]
+
+
+def _groups(model: Model) -> list[list[str]]:
+    """Balances whose rates are components of one vector, each in one group at most."""
+    joined = [{row for row, _ in place.shares} for place in elements_of(model)]
+    groups: list[list[str]] = []
+    for name in model.balances:
+        for group in groups:
+            if all(_is_one_vector(model, one, name, joined) for one in group):
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return [group for group in groups if 2 <= len(group) <= 3]
+
+
+def _is_one_vector(model: Model, one: str, other: str, joined: Sequence[set[str]]) -> bool:
+    """True of two balances in one unit that turn into each other, or have one inertia.
+
+    Two bodies of one mass that something joins have a relative motion instead.
+    """
+    a, b = model.balances[one], model.balances[other]
+    units = [(x.unit, model.states[x.rate].unit) for x in (a, b)]
+    if units[0] != units[1] or not (is_mechanical(a.unit) or is_electrical(a.unit)):
+        return False
+    if any({one, other} <= rows for rows in joined):
+        return False
+    if _turn(model, one, other):
+        return True
+    moves = all(model.position_of(x.rate) is not None for x in (a, b))
+    is_free = not any(
+        ca.which_depends(ca.SX(x.total), model.symbol(str(q)), 1)[0]
+        for x, q in ((a, model.position_of(b.rate)), (b, model.position_of(a.rate)))
+        if q is not None
+    )
+    return a.unit == "N" and moves and is_free and is_zero(ca.SX(a.inertia) - ca.SX(b.inertia))
+
+
+def _turn(model: Model, one: str, other: str) -> bool:
+    """True where each drives the other by what a rotation gives it: of two signs, by one speed."""
+    a, b = model.balances[one], model.balances[other]
+    x, y = model.symbol(a.rate), model.symbol(b.rate)
+    to_one = ca.jacobian(ca.SX(a.total), y)
+    to_other = ca.jacobian(ca.SX(b.total), x)
+    if not (to_one.nnz() and to_other.nnz()):
+        return False
+    states = set(model.states)
+    speeds = [{s.name() for s in ca.symvar(slope)} & states for slope in (to_one, to_other)]
+    if speeds[0] != speeds[1] or len(speeds[0]) != 1 or speeds[0] & {a.rate, b.rate}:
+        return False
+    product = ca.densify(to_one * to_other)
+    symbols = ca.symvar(product)
+    function = ca.Function("turn", [ca.vertcat(ca.SX(0, 1), *symbols)], [product])
+    return bool(float(function(ca.DM.ones(len(symbols)))) < 0.0)
+
+
+def _plane(model: Model, group: Sequence[str]) -> Place:
+    """The vector of the rates of some balances as a place."""
+    first = model.balances[group[0]]
+    rates = [model.balances[name].rate for name in group]
+    parts: list[Expr] = [model.symbol(rate) for rate in rates]
+    size = ca.sqrt(sum(x**2 for x in parts) + carrying_unit(_LEAST**2))
+    return Place(
+        where=" and ".join(rates),
+        unit=first.unit,
+        velocity=size,
+        velocity_unit=model.states[first.rate].unit,
+        position=None,
+        position_unit="1",
+        shares=tuple((name, x / size) for name, x in zip(group, parts, strict=True)),
+        velocity_name=f"the vector of {' and '.join(rates)}",
+        position_name="",
+        is_vector=True,
+    )
