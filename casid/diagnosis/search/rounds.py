@@ -42,6 +42,7 @@ from casid.diagnosis.search.comparison.imitations import (
     is_at_resonance,
     is_further_friction,
 )
+from casid.diagnosis.search.instants.joint_forces import joint_forces
 from casid.diagnosis.search.instants.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.instants.temporary_changes import placed_changes
 from casid.diagnosis.search.refits.dead_times import with_far_dead_times
@@ -288,6 +289,8 @@ class Search:
         found = self.refits_of(at, short)
         found += self.refits_of(at, delays_of_best(table, found, short))
         found = placed(self.refitting, at, found, events_of(adopted), self.progress)
+        if "offset" not in self.without:
+            found += joint_forces(self.refitting, at, found, self.progress)
         if not adopted and not self.attempts.not_done:
             kept[at] = found
         return list(found)

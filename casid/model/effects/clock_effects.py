@@ -12,7 +12,7 @@ from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import offset
 from casid.model.effects.channel_effects import scaled_input, sensor_bias, sensor_scale
-from casid.model.effects.effect import Effect
+from casid.model.effects.effect import Effect, known_while_null
 from casid.model.effects.names import (
     DURING_THE_RECORD,
     FOR_A_WHILE,
@@ -42,6 +42,9 @@ from casid.model.units import same_dimension, unit_quotient
 
 STEP, KNOCK, DRIFT = "step", "knock", "drift"
 
+JOINT = " and "
+"""Between the balances that one force acts in."""
+
 
 def offset_step(model: Model, balance: str, time: float, end: float | None = None) -> Effect:
     """A constant force or voltage from `time` on, or until `end` (s of the record's clock)."""
@@ -52,6 +55,41 @@ def offset_step(model: Model, balance: str, time: float, end: float | None = Non
     if end is not None:
         says = f"{what} acts in the {balance} balance {FOR_A_WHILE}"
     return replace(made, description=says)
+
+
+def joint_offset_step(
+    model: Model, where: Sequence[str], ratio: float, time: float, end: float | None = None
+) -> Effect:
+    """One constant force that sets in at `time` in two balances, and ends at `end` [s].
+
+    A gust pushes a car and turns it. The first balance has the force F_0, the other one F_0 times a
+    ratio, a lever arm, which is estimated from `ratio` (SI).
+    """
+    one, other = where
+    single = offset_step(model, one, time, end)
+    b, o = (model.balances[name] for name in where)
+    arm = Parameter(f"ratio_{other}", unit_quotient(o.unit, b.unit, 1), ratio)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        known_while_null(new, names)
+        F_0, share = (new.symbol(n) for n in names)
+        course = since(new, time, end)
+        new.add_term(one, F_0 * course)
+        new.add_term(other, F_0 * share * course)
+
+    what = a_constant(b.unit, model.states[b.rate].unit)
+    there = f"in the {one} and {other} balances"
+    says = f"{what} {SETS_IN} {DURING_THE_RECORD}, {there}"
+    if end is not None:
+        says = f"{what} acts {there} {FOR_A_WHILE}"
+    return replace(
+        single,
+        where=JOINT.join(where),
+        parameters=(*single.parameters, arm),
+        apply=apply,
+        cost=single.cost + 1,
+        description=says,
+    )
 
 
 def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
@@ -142,6 +180,9 @@ def at_instant(effect: Effect, model: Model, time: float, end: float | None = No
     """The `effect`, which sets in at an instant, at another instant [s]; it ends at `end` [s]."""
     if effect.shape == KNOCK:
         return knock(model, effect.where, time, effect.constants["duration"])
+    if effect.kind == "offset" and len(effect.parameters) > 1:
+        pair, (_, arm) = effect.where.split(JOINT), effect.parameters
+        return joint_offset_step(model, pair, arm.start, time, end)
     made = {
         "parameter_jump": parameter_jump,
         "offset": offset_step,
