@@ -10,10 +10,12 @@ from collections.abc import Sequence
 
 import casadi as ca
 
+from casid.model.declarations import Balance
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.elements import elements_of
 from casid.model.effects.place import Expr, Place, is_electrical, is_mechanical, is_zero
 from casid.model.model import Model
+from casid.model.rate_laws import addends
 
 _LEAST = 1e-9
 """Speed [SI unit] below which no direction is resolved: a simulation may start at rest."""
@@ -67,19 +69,25 @@ def _is_one_vector(model: Model, one: str, other: str, joined: Sequence[set[str]
 def _turn(model: Model, one: str, other: str) -> bool:
     """True where each drives the other by what a rotation gives it: of two signs, by one speed."""
     a, b = model.balances[one], model.balances[other]
-    x, y = model.symbol(a.rate), model.symbol(b.rate)
-    to_one = ca.jacobian(ca.SX(a.total), y)
-    to_other = ca.jacobian(ca.SX(b.total), x)
-    if not (to_one.nnz() and to_other.nnz()):
-        return False
-    states = set(model.states)
-    speeds = [{s.name() for s in ca.symvar(slope)} & states for slope in (to_one, to_other)]
-    if speeds[0] != speeds[1] or len(speeds[0]) != 1 or speeds[0] & {a.rate, b.rate}:
-        return False
-    product = ca.densify(to_one * to_other)
-    symbols = ca.symvar(product)
-    function = ca.Function("turn", [ca.vertcat(ca.SX(0, 1), *symbols)], [product])
-    return bool(float(function(ca.DM.ones(len(symbols)))) < 0.0)
+    to_one, to_other = _turned(model, a, b.rate), _turned(model, b, a.rate)
+    for speed in to_one.keys() & to_other.keys() - {a.rate, b.rate}:
+        product = ca.densify(to_one[speed] * to_other[speed])
+        symbols = ca.symvar(product)
+        function = ca.Function("turn", [ca.vertcat(ca.SX(0, 1), *symbols)], [product])
+        if float(function(ca.DM.ones(len(symbols)))) < 0.0:
+            return True
+    return False
+
+
+def _turned(model: Model, balance: Balance, rate: str) -> dict[str, Expr]:
+    """State -> the slope in another balance's rate of the terms that this state multiplies."""
+    found: dict[str, Expr] = {}
+    for addend in addends(ca.SX(balance.total)):
+        slope = ca.jacobian(addend, model.symbol(rate))
+        states = [s.name() for s in ca.symvar(slope) if s.name() in model.states]
+        if slope.nnz() and len(states) == 1:
+            found[states[0]] = found.get(states[0], 0.0) + slope
+    return found
 
 
 def _plane(model: Model, group: Sequence[str]) -> Place:

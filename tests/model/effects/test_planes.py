@@ -66,6 +66,15 @@ def test_a_body_in_a_plane_has_one_friction_and_one_drag_for_its_whole_motion():
         check_units(effect.extend(puck(), starts={effect.parameters[0].name: 1.0}))
 
 
+@pytest.mark.parametrize("model", [puck(), machine()])
+def test_a_vector_is_found_in_the_model_that_has_its_friction_too(model: casid.Model):
+    """The sharpness of its reversal is sought there."""
+    (plane,) = planes_of(model)
+    dry = coulomb_friction(model, plane, 0.1)
+    again = place_named(dry.extend(model, starts={dry.parameters[0].name: 1.0}), plane.where)
+    assert [row for row, _ in again.shares] == [row for row, _ in plane.shares]
+
+
 @pytest.mark.parametrize("model", [puck(is_joined=True), puck(is_square=False)])
 def test_two_bodies_on_one_line_are_no_vector(model: casid.Model):
     assert planes_of(model) == []
