@@ -888,6 +888,11 @@ class Bursts:
         "of a record, within whose first part a burst is one of the initial state",
         f"{TESTS}/evidence/residual/test_bursts.py",
     )
+    spikes: int = _is(
+        3,
+        "spikes, at most, at which jumps are tried too: a sensor that errs now and then has more",
+        f"{TESTS}/search/instants/test_spikes_of_jumps.py",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ from casid.diagnosis.search.refusals import Refusal
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings
-from casid.diagnosis.thresholds import BUDGET
+from casid.diagnosis.thresholds import BUDGET, BURSTS
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.simulation.fit import weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
@@ -81,6 +81,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         alpha=settings.alpha,
         max_causes=settings.max_causes,
         without=settings.without,
+        spikes=instants_of_spikes(baseline),
         effects=problem.effects,
         progress=settings.progress,
         attempts=Attempts(settings.search_ends),
@@ -105,6 +106,22 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
     return Findings(
         baseline, search, found.at, extended, adopted, specific, found.remainders, corrected
     )
+
+
+def instants_of_spikes(baseline: Baseline) -> tuple[float, ...]:
+    """When the fitted records have spikes [s], where they are few.
+
+    What is fast shows a jump of a parameter for a sample, as a spike, and is as before afterwards.
+    No instant of a coarse grid is near enough to it.
+    """
+    data = baseline.fit.criterion.data
+    found = [
+        float(t)
+        for spikes in baseline.corrupted.spikes
+        for d, mask in zip(data, spikes.masks, strict=False)
+        for t in d.t[mask[: len(d.t)]]
+    ]
+    return tuple(found) if len(found) <= BURSTS.spikes else ()
 
 
 @dataclass(frozen=True, slots=True)

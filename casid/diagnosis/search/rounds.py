@@ -100,6 +100,7 @@ class Search:
     progress: Progress = lambda _: None
     effects: Sequence[UserEffect] = ()  # the user's own
     without: Collection[str] = ()  # kinds left out
+    spikes: Sequence[float] = ()  # instants [s] of few samples that were left out as outliers
     first_table: ScoreTable | None = None
     first_candidates: list[Candidate] = field(default_factory=list)
     refused: list[tuple[Candidate, Refusal]] = field(default_factory=list)
@@ -147,6 +148,7 @@ class Search:
         taken = {c.effect.key for c in adopted}
         recorded = self._free_channels(at.model)
         sizes = sizes_of(at, recorded)
+        sizes = replace(sizes, events=(*sizes.events, *self.spikes))
         every = catalogue(
             at.model,
             sizes,
