@@ -26,6 +26,7 @@ from casid.diagnosis.search.adoption.refinement import (
 )
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.comparison.alternatives import (
+    Losses,
     is_imitator,
     laws_before_memory,
     near_ones,
@@ -220,9 +221,11 @@ class Selection:
             beside = search.weighing.takes_disturbances
             causes = without_imitations(found, significant, by_likelihood=beside)
 
+        losses = Losses()
+
         def adoptable(best: Candidate) -> Adopted:
             others = [c for c in found if c is best or not _is_alone(at, c)]
-            rivals, near = rivals_of(at, best, others), near_ones(at, best, causes)
+            rivals, near = rivals_of(at, best, others, losses), near_ones(at, best, causes)
             return Adopted(best, p_values[best.effect.key], rivals, at, is_alarm, near=near)
 
         self.stores = [adoptable(c) for c in significant if c.effect.is_store and c.merit > 0]

@@ -221,7 +221,9 @@ def p_value(table: ScoreTable, candidate: Candidate, *, by_remainder: bool = Fal
     return float(max(min(score, refit, 1.0), TINY))
 
 
-def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tuple[Rival, ...]:
+def rivals_of(
+    at: Weighted, best: Candidate, found: Sequence[Candidate], losses: Losses | None = None
+) -> tuple[Rival, ...]:
     """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6)).
 
     Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence;
@@ -231,14 +233,19 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
     Nor does a likelihood tell laws of one balance apart where a disturbance adds much to the motion
     that is simulated: a law acts on the sum of both. Its mean over the motion that is not simulated
     is smooth, and a drag that grows with the square looks like one that grows with the cube.
+
+    Parameters
+    ----------
+    losses : kept where each of several candidates is compared with all others.
     """
     out = []
-    mine = _losses(best)
+    losses = losses or Losses()
+    mine = losses(best)
     is_blurred = bool(at.noise.spectra) and _share_moved_beside(best) > SUFFICIENCY.moved
     for c in found:
         if c is best or c.effect.key == best.effect.key:
             continue
-        difference = _losses(c) - mine
+        difference = losses(c) - mine
         lags = bartlett_lags(difference[:, None])
         sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
         total = float(difference.sum()) + 0.5 * (c.cost - best.cost)
@@ -286,6 +293,19 @@ def _share_moved_beside(c: Candidate) -> float:
         moved.append(at.y - at.y.mean(axis=0))
     sizes = rms(np.concatenate(moved))
     return float(np.min(rms(np.concatenate(left)) / np.maximum(sizes, TINY)))
+
+
+class Losses:
+    """Each sample's part of the whitened criterion of candidates (N,), computed once."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Candidate, Array] = {}
+
+    def __call__(self, c: Candidate) -> Array:
+        """All records one after another."""
+        if c not in self._kept:
+            self._kept[c] = _losses(c)
+        return self._kept[c]
 
 
 def _losses(c: Candidate) -> Array:
