@@ -7,7 +7,7 @@ size, and leaves a misfit that other terms seem to explain.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -114,6 +114,9 @@ class Likeliest:
 def likeliest_speed(doubled: Callable[[float, Fit], Fit | None], near: Fit) -> Likeliest | None:
     """Half the speed, or twice, and so on while the likelihood rises clearly; then between them.
 
+    There it is sought by parabolas through three speeds, until one rises no more: the likelihood of
+    a long record falls off so fast that one through halves and doubles misses its top.
+
     Parameters
     ----------
     doubled : the fit with the speed doubled so many times, from another fit; None where it would
@@ -132,18 +135,60 @@ def likeliest_speed(doubled: Callable[[float, Fit], Fit | None], near: Fit) -> L
             if _rise(fits[k], tried) < FRICTION.clearly:
                 break
             k += step
-    best, fit = k, fits[k]
-    falls = {step: -_rise(fit, fits[k + step]) for step in (-1.0, 1.0) if k + step in fits}
-    if len(falls) == 2 and sum(falls.values()) > 0.0:  # the vertex of the parabola through three
-        vertex = k + float(np.clip((falls[-1.0] - falls[1.0]) / (2 * sum(falls.values())), -1, 1))
-        middle = doubled(vertex, fit)
-        if middle is not None and _rise(fit, middle) > -FRICTION.clearly:
-            best, fit = vertex, middle
-    rounding = {}
-    if falls:
-        step = min(falls)
-        rounding = _of_rounding(fits[k], fits[k + step], falls[step])
-    return Likeliest(best, fit, rounding)
+    for _ in range(FRICTION.refits):
+        vertex = _vertex(fits, k)
+        middle = doubled(vertex, fits[k]) if vertex is not None and vertex not in fits else None
+        if middle is None or _rise(fits[k], middle) < -FRICTION.clearly:
+            break
+        fits[vertex] = middle
+        is_top, k = _rise(fits[k], middle) < FRICTION.clearly, vertex
+        if is_top:
+            break
+    return Likeliest(k, fits[k], _rounding_beside(fits, k))
+
+
+def _rounding_beside(fits: Mapping[float, Fit], k: float) -> dict[str, float]:
+    """(see `_of_rounding`) by the nearest fit, a sharper one if any, that is clearly less likely.
+
+    A fit next to the best one tells nothing of how fast the likelihood falls. Where none is less
+    likely, the sharpest one, or the bluntest.
+    """
+    sides = [
+        sorted((j for j in fits if j < k), reverse=True),
+        sorted(j for j in fits if j > k),
+    ]
+    for side in sides:
+        for j in side:
+            if _rise(fits[k], fits[j]) < -FRICTION.clearly:
+                return _of_rounding(fits[k], fits[j], -_rise(fits[k], fits[j]))
+    for side in sides:
+        if side:
+            other = fits[side[-1]]
+            return _of_rounding(fits[k], other, -_rise(fits[k], other))
+    return {}
+
+
+def _beside(fits: Mapping[float, Fit], k: float) -> tuple[float | None, float | None]:
+    """The next smaller speed that was fitted, and the next larger one, in doublings."""
+    below, above = [j for j in fits if j < k], [j for j in fits if j > k]
+    return max(below, default=None), min(above, default=None)
+
+
+def _vertex(fits: Mapping[float, Fit], k: float) -> float | None:
+    """Where the parabola through the likelihoods of a speed and of those beside it has its top.
+
+    Between those two; None where one is missing, or the parabola has no top.
+    """
+    left, right = _beside(fits, k)
+    if left is None or right is None:
+        return None
+    a, b = k - left, right - k
+    falls = [-_rise(fits[k], fits[j]) for j in (left, right)]
+    bend = falls[0] * b + falls[1] * a
+    if bend <= 0.0:
+        return None
+    move = (falls[0] * b**2 - falls[1] * a**2) / (2 * bend)
+    return k + float(np.clip(move, -a, b))
 
 
 def _rise(old: Fit, new: Fit) -> float:
