@@ -17,6 +17,9 @@ from casid.model.effects.place import Expr, Place, is_electrical, is_mechanical,
 from casid.model.model import Model
 from casid.model.rate_laws import addends
 
+_DIRECTIONS = 3
+"""Components of a vector in space: more balances of one kind are a chain of bodies."""
+
 _LEAST = 1e-9
 """Speed [SI unit] below which no direction is resolved: a simulation may start at rest."""
 
@@ -41,7 +44,7 @@ def _groups(model: Model) -> list[list[str]]:
                 break
         else:
             groups.append([name])
-    return [group for group in groups if 2 <= len(group) <= 3]
+    return [group for group in groups if 1 < len(group) <= _DIRECTIONS]
 
 
 def _is_one_vector(model: Model, one: str, other: str, joined: Sequence[set[str]]) -> bool:

@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from casid.arrays import TINY
+from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.scores.score_tests import regressed
 from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
@@ -56,17 +56,19 @@ def _refitted(
     forces = [offset_step(best.fit.criterion.model, name, time, end) for name in balances]
     e, psi = regressed(best.fit, best.names[0], forces)
     size = np.sqrt(np.maximum(np.einsum("ij,ij->j", psi, psi), TINY))
-    leaves = {}
-    for pair in map(list, combinations(range(len(balances)), 2)):
-        sizes, *_ = np.linalg.lstsq(psi[:, pair] / size[pair], e, rcond=None)
-        rest = e - psi[:, pair] @ (sizes / size[pair])
-        leaves[tuple(pair)] = float(rest @ rest), sizes / size[pair]
+    leaves: dict[tuple[int, int], tuple[float, Array]] = {}
+    for one, other in combinations(range(len(balances)), 2):
+        along, both = psi[:, [one, other]], size[[one, other]]
+        found, *_ = np.linalg.lstsq(along / both, e, rcond=None)
+        rest = e - along @ (found / both)
+        leaves[one, other] = float(rest @ rest), found / both
     (one, other), (left, sizes) = min(leaves.items(), key=lambda item: item[1][0])
     now = 2 * best.fit.solution.value
     if sizes[0] == 0.0 or left > now - float(np.log(at.criterion.n_samples)):
         return None
-    pair, ratio = (balances[one], balances[other]), float(sizes[1] / sizes[0])
-    effect = joint_offset_step(at.model, pair, ratio, time, end)
+    ratio = float(sizes[1] / sizes[0])
+    where = balances[one], balances[other]
+    effect = joint_offset_step(at.model, where, ratio, time, end)
     progress(f"refit {name_of(effect)}")
     starts = {effect.parameters[1].name: ratio}
     twin = refitting.refit(at, effect, float(sizes[0]), starts=starts, near=True)

@@ -137,7 +137,9 @@ def likeliest_speed(doubled: Callable[[float, Fit], Fit | None], near: Fit) -> L
             k += step
     for _ in range(FRICTION.refits):
         vertex = _vertex(fits, k)
-        middle = doubled(vertex, fits[k]) if vertex is not None and vertex not in fits else None
+        if vertex is None or vertex in fits:
+            break
+        middle = doubled(vertex, fits[k])
         if middle is None or _rise(fits[k], middle) < -FRICTION.clearly:
             break
         fits[vertex] = middle
