@@ -14,14 +14,9 @@ from casid.model.declarations import Balance
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.elements import elements_of
 from casid.model.effects.place import Expr, Place, is_electrical, is_mechanical, is_zero
+from casid.model.effects.search_ranges import FRICTION_RANGES, SMOOTHING
 from casid.model.model import Model
 from casid.model.rate_laws import addends
-
-_DIRECTIONS = 3
-"""Components of a vector in space: more balances of one kind are a chain of bodies."""
-
-_LEAST = 1e-9
-"""Speed [SI unit] below which no direction is resolved: a simulation may start at rest."""
 
 
 def planes_of(model: Model) -> list[Place]:
@@ -44,7 +39,7 @@ def _groups(model: Model) -> list[list[str]]:
                 break
         else:
             groups.append([name])
-    return [group for group in groups if 1 < len(group) <= _DIRECTIONS]
+    return [group for group in groups if 1 < len(group) <= FRICTION_RANGES.directions]
 
 
 def _is_one_vector(model: Model, one: str, other: str, joined: Sequence[set[str]]) -> bool:
@@ -98,7 +93,7 @@ def _plane(model: Model, group: Sequence[str]) -> Place:
     first = model.balances[group[0]]
     rates = [model.balances[name].rate for name in group]
     parts: list[Expr] = [model.symbol(rate) for rate in rates]
-    size = ca.sqrt(sum(x**2 for x in parts) + carrying_unit(_LEAST**2))
+    size = ca.sqrt(sum(x**2 for x in parts) + carrying_unit(SMOOTHING.at_rest**2))
     return Place(
         where=" and ".join(rates),
         unit=first.unit,

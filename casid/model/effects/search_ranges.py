@@ -18,6 +18,7 @@ _ACTUATORS = f"{_TESTS}/test_actuator_effects.py"
 _RATES = f"{_TESTS}/test_rate_limit.py"
 _CONTACT = f"{_TESTS}/test_contact_effects.py"
 _FRICTION = f"{_TESTS}/test_friction_effects.py"
+_PLANES = f"{_TESTS}/test_planes.py"
 _SCHEDULED = f"{_TESTS}/test_scheduled_parameter.py"
 _STRUCTURE = f"{_TESTS}/test_structure_effects.py"
 _FLOW_LAWS = f"{_TESTS}/test_flow_laws.py"
@@ -140,6 +141,11 @@ class Smoothing:
     above_zero: float = _is(
         1e-3, "of its largest value, by which a state that keeps its sign exceeds zero", _UNNAMED
     )
+    at_rest: float = _is(
+        1e-9,
+        "SI unit, the size of a vector below which its direction fades: simulations start there",
+        _PLANES,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +157,9 @@ class FrictionRanges:
     )
     decay: tuple[float, float] = _is(
         (0.03, 1.0), "of the rms rate, lower and upper bound of the decay speed", _FRICTION
+    )
+    directions: int = _is(
+        3, "components of a vector in space: more balances of one kind are a chain", _PLANES
     )
 
 
