@@ -10,7 +10,12 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.noise.missing_samples import FILLED_FROM, unbroken
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import Response, noise_response
+from casid.estimation.noise.noise_response import (
+    Response,
+    linearised_at,
+    may_vary,
+    noise_response,
+)
 from casid.estimation.noise.source_spectra import Lines, SourceSpectra, lines_of
 from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -53,6 +58,7 @@ class ModelSpectra:
         n, Ts = len(self.lower), self.criterion.data[e].Ts
         r = self._response(z[:n], e, omega)
         S, shapes = self.sources.at(z[n:], r, Ts)
+        states, tangents = self._states(z[:n], e)
         slopes = {n + k: slope for k, slope in shapes.items()}
         for k, v in enumerate(self.criterion.variables):
             if v.source not in self.criterion.model.parameters:
@@ -61,14 +67,39 @@ class ModelSpectra:
             h = -h if z[k] + h > v.upper else h
             moved = z[:n].copy()
             moved[k] += h
-            there = self._response(moved, e, omega, is_beside=True)
+            at = None if states is None else states + h * tangents[:, :, k]
+            there = self._response(moved, e, omega, states=at, is_beside=True)
             slope = self.sources.change(z[n:], r, there, Ts) / h
             if np.any(slope):
                 slopes[k] = slope
         return S, slopes
 
-    def _response(self, x: Array, e: int, omega: Array, *, is_beside: bool = False) -> Response:
-        return noise_response(self.criterion, x, e, omega=omega, is_beside=is_beside)
+    def _response(
+        self,
+        x: Array,
+        e: int,
+        omega: Array,
+        *,
+        states: Array | None = None,
+        is_beside: bool = False,
+    ) -> Response:
+        of = self.criterion
+        return noise_response(of, x, e, omega=omega, states=states, is_beside=is_beside)
+
+    def _states(self, x: Array, e: int) -> tuple[Array | None, Array]:
+        """States (points, nx) where the record is linearised, and their slopes (points, nx, n).
+
+        The states are None where they do not count, or tangents would not do.
+        """
+        nothing = np.zeros((0, 0, len(x)))
+        if not may_vary(self.criterion):
+            return None, nothing
+        with np.errstate(all="ignore"):
+            found = self.criterion.state_tangents(x, e)
+        if found is None or not np.all(np.isfinite(found[1])):
+            return None, nothing
+        pick = linearised_at(self.criterion.data[e].N)
+        return found[0][pick], found[1][pick]
 
 
 def completed(

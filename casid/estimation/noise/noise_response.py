@@ -18,6 +18,7 @@ from scipy.fft import rfft
 from casid.arrays import Array
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
 from casid.estimation.noise.filled_noise import noise_spectrum
+from casid.estimation.noise.resolving_steps import fewest_steps
 from casid.estimation.noise.windowed_response import windowed_spectra
 from casid.estimation.simulation.channels.sensor_dynamics import prepared_inputs, through_sensor
 from casid.estimation.simulation.integration.band_limited import responses_between
@@ -69,6 +70,7 @@ def noise_response(
     experiment: int,
     *,
     omega: Array | None = None,
+    states: Array | None = None,
     is_beside: bool = False,
 ) -> Response:
     """|G|^2 from measured inputs, balances and stated rates to the outputs, linearised on average.
@@ -79,17 +81,19 @@ def noise_response(
     Parameters
     ----------
     omega : (F,) rad/sample, above 0; default even from 0 to pi, as finely as the record resolves.
+    states : (points, nx) at the samples of `linearised_at`, where they are known.
     is_beside : `x` is no point of the search, whose sensitivities would be of use afterwards.
     """
     if omega is not None and criterion.model.stages:
         # What sensors and actuators do beyond expressions is transformed on an even grid.
-        even = noise_response(criterion, x, experiment, is_beside=is_beside)
+        even = noise_response(criterion, x, experiment, states=states, is_beside=is_beside)
         assert even.gain is not None
         places = np.clip(np.searchsorted(even.omega, omega), 0, len(even.omega) - 1)
         gain = even.gain[places]
         return Response(omega, np.abs(gain) ** 2, even.sources, gain)
-    disturbed, e, means = _mean_slopes(criterion, x, experiment, is_beside=is_beside)
+    disturbed, e, means = _mean_slopes(criterion, x, experiment, states, is_beside=is_beside)
     a, b0, b1, inside, c, dd = means
+    parts = len(inside) + 1
     model, d = criterion.model, criterion.data[experiment]
     forced = places_of_forces(model)
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
@@ -106,7 +110,7 @@ def noise_response(
     )
     rhs = b0 + z[:, None, None] * b1
     if inside.any():
-        course = responses_between(omega, 2 * criterion.substeps)
+        course = responses_between(omega, parts)
         rhs = rhs + np.einsum("fk,kxu->fxu", course, inside)
     rhs = rhs @ enters
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
@@ -184,8 +188,18 @@ def _on_lines(b0: Array, b1: Array, inside: Array) -> tuple[Array, Array]:
     return b0 + np.sum((1 - shares) * inside, axis=0), b1 + np.sum(shares * inside, axis=0)
 
 
+def linearised_at(n: int) -> Array:
+    """The samples at which a record of n is linearised for its mean response."""
+    return np.linspace(0, n - 1, min(n, POINTS)).astype(int)
+
+
 def _mean_slopes(
-    criterion: SimulationError, x: Array, experiment: int, *, is_beside: bool
+    criterion: SimulationError,
+    x: Array,
+    experiment: int,
+    states: Array | None,
+    *,
+    is_beside: bool,
 ) -> tuple[Model, Explicit, tuple[Array, ...]]:
     """The model with a force in each balance, its equations, and the mean slopes of a sample.
 
@@ -193,25 +207,25 @@ def _mean_slopes(
     amplitude-dependent terms count by how often they are met.
     """
     d = criterion.data[experiment]
-    disturbed, e, _, is_constant = _linearised(criterion, d.Ts)
+    disturbed, e, _, is_constant = _linearised(criterion, d.Ts, 1)
+    pick = linearised_at(d.N)
     if is_constant:
-        states = np.zeros((1, len(e.states)))
-    elif is_beside:
-        states = criterion.simulate(x, experiment)[1]
-    else:
-        states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
-    pick = np.linspace(0, len(states) - 1, min(len(states), POINTS)).astype(int)
-    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states[pick], d.u[pick], d.u[pick])
+        states, pick = np.zeros((1, len(e.states))), pick[:1]
+    elif states is None and is_beside:
+        states = criterion.simulate(x, experiment)[1][pick]
+    elif states is None:  # kept: the residual comes from it as well
+        states = criterion.simulated(x, experiment).x[pick]
+    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, d.u[pick], d.u[pick])
     sizes = _gains(np.concatenate([b0, b1, *inside, dd]))
     nx, ny = len(e.states), len(e.outputs)
     b0, b1, inside, dd = np.split(sizes, [nx, 2 * nx, len(sizes) - ny])
-    inside = inside.reshape(2 * criterion.substeps - 1, nx, len(e.inputs))
+    inside = inside.reshape(-1, nx, len(e.inputs))
     return disturbed, e, (a.mean(axis=1), b0, b1, inside, c.mean(axis=1), dd)
 
 
 def may_vary(criterion: SimulationError) -> bool:
     """True unless the model is linear and constant: then its response is the same all along."""
-    return not all(_linearised(criterion, d.Ts)[3] for d in criterion.data)
+    return not all(_linearised(criterion, d.Ts, 1)[3] for d in criterion.data)
 
 
 def multiplied_inputs(criterion: SimulationError) -> tuple[str, ...]:
@@ -242,7 +256,7 @@ def steps_along(
     off : input -> (N,) by how much it was more than recorded, as far as is known.
     """
     d = criterion.data[experiment]
-    disturbed, e, *_ = _linearised(criterion, d.Ts)
+    disturbed, e, *_ = _linearised(criterion, d.Ts, 1)
     u = d.u.copy()
     for name, more in (off or {}).items():
         u[:, list(criterion.model.inputs).index(name)] += more
@@ -271,14 +285,16 @@ def _slopes(
     u, u_next : (points, nu) the recorded inputs there, and at the sample after.
     """
     d, points = criterion.data[experiment], len(states)
-    disturbed, e, slopes, _ = _linearised(criterion, d.Ts)
-    ni, parts = len(e.inputs), 2 * criterion.substeps
+    substeps = _substeps(criterion, x, experiment, states, u)
+    disturbed, e, slopes, _ = _linearised(criterion, d.Ts, substeps)
+    ni, parts = len(e.inputs), 2 * substeps
     here, ahead = (np.hstack([v, np.zeros((points, ni - v.shape[1]))]) for v in (u, u_next))
     banded = [e.inputs.index(name) for name in band_limited(disturbed)]
     share = np.arange(1, parts) / parts
     within = here[:, banded, None] * (1 - share) + ahead[:, banded, None] * share
     p = np.tile(criterion.parameter_vector(x, experiment)[0][:, None], (1, points))
-    mapped = criterion.built(("noise response", d.Ts, points), lambda: slopes.map(points))
+    key = ("noise response", d.Ts, substeps, points)
+    mapped = criterion.built(key, lambda: slopes.map(points))
     found = mapped(states.T, here.T, ahead.T, within.reshape(points, -1).T, p)
     a, b0, b1, course, c, dd = (np.array(m).reshape(m.shape[0], points, -1) for m in found)
     inside = np.zeros((parts - 1, *b0.shape))
@@ -310,15 +326,49 @@ def _gains(at_points: Array) -> Array:
     return np.asarray(out)
 
 
-def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
+def _substeps(
+    criterion: SimulationError, x: Array, experiment: int, states: Array, u: Array
+) -> int:
+    """The fewest steps of a sample whose slopes in the states are those of all, once a model.
+
+    A simulation needs its steps for errors that add up, and to resolve an input; how noise passes
+    is known well enough where one sample is. What is band-limited takes three at least: its course
+    over a third of a sample is a parabola to all that counts, over a half one it is not.
+    """
+    Ts, most = criterion.data[experiment].Ts, criterion.substeps
+
+    def chosen() -> int:
+        model, *_ = _linearised(criterion, Ts, 1)
+        e, least = model.explicit(), 3 if band_limited(model) else 1
+        if most <= least:
+            return most
+        pick = linearised_at(len(states))
+        rates = ca.Function("rates", [e.x, e.u, e.p], [ca.jacobian(e.f, e.x)]).map(len(pick))
+        here = np.zeros((len(pick), len(e.inputs)))
+        here[:, : u.shape[1]] = u[pick]
+        p = np.tile(criterion.parameter_vector(x, experiment)[0][:, None], (1, len(pick)))
+        found = np.array(rates(states[pick].T, here.T, p))
+        nx = len(e.states)
+        slopes = Ts * found.reshape(nx, len(pick), nx).swapaxes(0, 1)
+        return fewest_steps(slopes, least, most)
+
+    found: int = criterion.built(("steps of the noise response", Ts), chosen)
+    return found
+
+
+def _linearised(
+    criterion: SimulationError, Ts: float, substeps: int
+) -> tuple[Model, Explicit, Any, bool]:
     """The `_linearisation` of a model, built once."""
     found: tuple[Model, Explicit, Any, bool] = criterion.built(
-        ("noise response", Ts), lambda: _linearisation(criterion, Ts)
+        ("noise response", Ts, substeps), lambda: _linearisation(criterion, Ts, substeps)
     )
     return found
 
 
-def _linearisation(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any, bool]:
+def _linearisation(
+    criterion: SimulationError, Ts: float, substeps: int
+) -> tuple[Model, Explicit, Any, bool]:
     """The model with a force in each balance, its equations, and the derivatives of a sample.
 
     The function takes states, inputs, inputs at the next sample, band-limited ones in between (as
@@ -330,8 +380,8 @@ def _linearisation(criterion: SimulationError, Ts: float) -> tuple[Model, Explic
     disturbed = with_forces(model, places_of_forces(model), "unknown")
     e = disturbed.explicit()
     u_next = ca.SX.sym("un", len(e.inputs))
-    within = ca.SX.sym("within", len(band_limited(disturbed)) * (2 * criterion.substeps - 1))
-    xs = rk4_sample(disturbed, e, u_next, Ts, criterion.substeps, within)
+    within = ca.SX.sym("within", len(band_limited(disturbed)) * (2 * substeps - 1))
+    xs = rk4_sample(disturbed, e, u_next, Ts, substeps, within)
     slopes = [ca.jacobian(xs, of) for of in (e.x, e.u, u_next, within)]
     slopes += [ca.jacobian(e.h, of) for of in (e.x, e.u)]
     moving = ca.veccat(e.x, e.u, u_next, within)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,7 +31,7 @@ from casid.estimation.simulation.channels.sensor_dynamics import (
     prepared_inputs,
     through_sensor,
 )
-from casid.estimation.simulation.integration.simulator import Simulator, placed
+from casid.estimation.simulation.integration.simulator import Simulated, Simulator, placed
 from casid.estimation.simulation.records.measured_states import (
     measured_output,
     measured_states,
@@ -50,16 +50,6 @@ from casid.grouping import Grouped
 from casid.model.model import Model
 
 Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> same shape
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
-    """Outputs, residuals and sensitivities of one experiment at one point."""
-
-    y: Array  # (N, ny)
-    residual: Array  # (N, ny), zero where a sample is not used, over the noise's relative size
-    jacobian: Array  # (N, ny, n), d yhat / d variables, likewise
-    x: Array  # (N, nx)
 
 
 class SimulationError:
@@ -349,6 +339,18 @@ class SimulationError:
         at_own_instants(y, jac, d.instants, steps, cuts)
         return y, states, jac
 
+    def state_tangents(self, x: Array, experiment: int) -> tuple[Array, Array] | None:
+        """`Simulator.state_tangents` in all variables, of a record that starts once; else None."""
+        if self.parts(experiment) > 1:
+            return None
+        d, index = self.data[experiment], self._index[experiment][0]
+        inputs = self._prepared_inputs(x, experiment, d)
+        found = self._simulators[d.Ts].state_tangents(inputs, *self.parameter_vector(x, experiment))
+        if found is None:
+            return None
+        shape = (*found[0].shape, len(self.variables))
+        return found[0], placed(None, found[1], index, slice(None), shape)
+
     def _prepared_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
         """The input columns as they act, and those that carry the tangents of what was done."""
         stages = [s for s in self.model.stages if s.is_of_input]
@@ -456,8 +458,7 @@ class SimulationError:
         value = 0.0
         with np.errstate(all="ignore"):
             for e, d in enumerate(self.data):
-                y, _, _ = self.simulate(x, e)
-                r = (d.errors(y) * self.weights)[:, :, None]
+                r = (d.errors(self.simulate(x, e)[0]) * self.weights)[:, :, None]
                 if self.whiten is not None and np.all(np.isfinite(r)):
                     r = self.whiten(r, e)
                 value += 0.5 * float(np.sum(r**2))

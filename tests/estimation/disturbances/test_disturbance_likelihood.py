@@ -104,7 +104,7 @@ def test_a_point_beside_which_the_responses_overflow_is_no_point_of_it(monkeypat
     assert np.isfinite(search.at(z).value)
     own = DisturbanceLikelihood._response
 
-    def overflows(self, x, e, omega, *, is_beside=False):
+    def overflows(self, x, e, omega, *, states=None, is_beside=False):
         found = own(self, x, e, omega)
         assert found.gain is not None
         gain = np.full_like(found.gain, np.nan if is_beside else 1.0)

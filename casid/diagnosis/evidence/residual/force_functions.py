@@ -12,8 +12,9 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.thresholds import FUNCTIONS
 from casid.estimation.feedback import slope
+from casid.estimation.simulation.integration.simulator import Simulated
 from casid.estimation.simulation.records.signals import Signals
-from casid.estimation.simulation.simulation_error import Simulated, SimulationError
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
 Table = Mapping[str, Array]  # variable -> (N,) of one record

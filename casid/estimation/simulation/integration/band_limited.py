@@ -69,8 +69,16 @@ def _phases(parts: int) -> tuple[Array, ...]:
 
 def responses_between(omega: Array, parts: int) -> Array:
     """Responses (F, parts - 1), at `omega` (F,) rad/sample, of what `between_samples` returns."""
-    waves = np.exp(1j * omega[:, None] * _NEAR)
-    return np.asarray(waves @ np.array(_phases(parts)).reshape(parts - 1, -1).T)
+    return _responses(omega.tobytes(), parts)
+
+
+@functools.lru_cache(maxsize=4)
+def _responses(omega: bytes, parts: int) -> Array:
+    """The responses at frequencies that a search comes back to, kept: read them only."""
+    waves = np.exp(1j * np.frombuffer(omega)[:, None] * _NEAR)
+    out = np.asarray(waves @ np.array(_phases(parts)).reshape(parts - 1, -1).T)
+    out.flags.writeable = False
+    return out
 
 
 def moved(u: Array, samples: float) -> tuple[Array, Array]:

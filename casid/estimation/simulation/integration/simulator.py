@@ -40,6 +40,16 @@ class Trajectory:
     dbefore: Array | None = None  # (N, nj, nv)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """Outputs, residuals and sensitivities of one experiment at one point."""
+
+    y: Array  # (N, ny)
+    residual: Array  # (N, ny), zero where a sample is not used, over the noise's relative size
+    jacobian: Array  # (N, ny, n), d yhat / d variables, likewise
+    x: Array  # (N, nx)
+
+
 def rk4_sample(
     model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int, between: Any = None
 ) -> Any:
@@ -265,6 +275,28 @@ class Simulator:
             before=before,
             dbefore=self._widened(dbefore, nj),
         )
+
+    def state_tangents(self, u: Array, p: Array, x0: Array) -> tuple[Array, Array] | None:
+        """States (N, nx) at the samples, and their tangents (N, nx, nv) as in `sensitivities`.
+
+        None of a model with so many parameters that its tangents are not kept, and of one with
+        states that no output depends on, whose tangents are not known.
+        """
+        nx, nv, nf = self.nx, self.nv, len(self._felt)
+        if self._wide is not None or nf < nx:
+            return None
+        u = self.with_courses(u)
+        start = np.zeros((nv, nf))
+        start[nv - nx :, :] = np.eye(nf)
+        begun = np.concatenate([np.ravel(x0), start.ravel()])
+        step, after = self._kept_tangent_step, self._stepping.next(u)
+        found = np.vstack([begun, self._stepping.run(step, begun, u, after, p)[0][:-1]])
+        return found[:, :nx], found[:, nx:].reshape(len(u), nv, nx).transpose(0, 2, 1)
+
+    @functools.cached_property
+    def _kept_tangent_step(self) -> Step:
+        """The step of which the tangents are kept of every sample."""
+        return self._tangent_step.keeping_all()
 
     @functools.cached_property
     def _wide(self) -> WideTangents | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -64,7 +65,7 @@ class Step:
         self, name: str, symbols: StepSymbols, state: Any, after: Any, out: Any, late: Any
     ) -> None:
         self.n_state, self.n_out, self.n_late = after.numel(), out.numel(), late.numel()
-        self.kept = symbols.kept
+        self.kept, self._banded = symbols.kept, symbols.banded
         p, ends = symbols.p, np.cumsum([0, self.n_state, self.n_out, self.n_late]).tolist()
         both, own, self._constants = with_constants(ca.veccat(after, out, late), p)
         results = [ca.densify(each) for each in ca.vertsplit(both, ends)]
@@ -73,6 +74,13 @@ class Step:
         self._block: tuple[int, Any, Any] | None = None
         self._easy_block: tuple[int, int, Any, Any] | None = None
         self.machine_code = MachineCode(self._function, symbols.kept, symbols.banded)
+
+    def keeping_all(self) -> Step:
+        """The same step, of which the whole state is kept of every sample."""
+        new = copy.copy(self)
+        new.kept = self.n_state
+        new.machine_code = MachineCode(self._function, new.kept, self._banded)
+        return new
 
     def constants(self, p: Array) -> Array:
         """Constants that the function takes in the place of all parameters `p` (np,)."""
