@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import casid
 from casid.diagnosis.evidence.residual.residual_tests import NOISE, residual_tests
+from casid.diagnosis.evidence.whitening import prewhitening
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -100,3 +104,34 @@ def test_noise_of_an_input_that_is_multiplied_is_no_force_that_comes_and_goes():
         )
         tests = residual_tests(at, experiments, alpha=0.01)
         assert tests.verdict == NOISE
+
+
+@pytest.mark.parametrize(("length", "varying"), [(26.0, 0), (24.0, 9)])
+def test_far_from_the_root_without_bias_the_noise_is_that_of_an_average_response(
+    monkeypatch, length, varying
+):
+    """Beyond 25 standard errors nothing is linear, and the noise there is estimated again.
+
+    A filter along the record is most of what that estimate costs. The search is given up after
+    nine steps that come no nearer, here of nought, whose lengths are pretended.
+    """
+    experiments = [casid.Experiment(record(3, (1.0, 3.0)), {}, "r")]
+    model = vessel()
+    model.inputs["feed"] = dataclasses.replace(model.inputs["feed"], kind="measured")
+    fit = minimize_simulation_error(SimulationError(model, experiments))
+    weighing, counted = Weighing(experiments, known_noise={"feed": 0.1}), []
+    found = dataclasses.replace(weighing.estimated(fit), input_sd={"feed": 0.1})
+    monkeypatch.setattr(
+        prewhitening,
+        "step_without_bias",
+        lambda criterion, x, *_, **__: SimpleNamespace(x=x, length=length, value=np.inf),
+    )
+    own = prewhitening.with_varying_response
+
+    def counting(*args):
+        counted.append(args)
+        return own(*args)
+
+    monkeypatch.setattr(prewhitening, "with_varying_response", counting)
+    assert weighing._without_bias(found) is None
+    assert len(counted) == varying

@@ -277,7 +277,7 @@ class Weighing:
             there = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
             if not criterion.evaluate(x).value * float(np.finfo(float).eps) < step.value:
                 return None  # it diverges: next to its errors none of the records' are left
-            at = self.estimated(there)
+            at = self.estimated(there, is_far=length > PREWHITENING.longest_step)
             if length < PREWHITENING.converged:
                 return at
             first = length if k == 0 else first
@@ -297,14 +297,16 @@ class Weighing:
         *,
         is_simple: bool = False,
         near: Mapping[str, DisturbanceSpectrum] | None = None,
+        is_far: bool = False,
     ) -> Weighted:
         """A fit with the noise that its residual shows.
 
         Parameters
         ----------
         is_simple, near : as for `with_disturbance_spectra`.
+        is_far : the search goes on far from here: the noise is that of an average response.
         """
-        full = self.noise(fit, is_simple=is_simple, near=near)
+        full = self.noise(fit, is_simple=is_simple, near=near, is_far=is_far)
         input_sd = self.input_sd(full, fit.criterion)
         share = share_that_is_there(fit, full, input_sd, self.seed)
         input_sd = {name: share * sd for name, sd in input_sd.items()}
@@ -377,13 +379,14 @@ class Weighing:
         *,
         is_simple: bool = False,
         near: Mapping[str, DisturbanceSpectrum] | None = None,
+        is_far: bool = False,
     ) -> NoiseModel:
         """The noise that the residual of a fit shows; parameters as of `estimated`."""
         found = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
         c, x, known = fit.criterion, fit.x, self.known_noise
         if self.takes_disturbances:
             found = with_disturbance_spectra(found, c, x, known, is_simple=is_simple, near=near)
-        return with_varying_response(found, c, x, known)
+        return found if is_far else with_varying_response(found, c, x, known)
 
     def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
         """Another model under the noise and the weights of one that was judged."""
