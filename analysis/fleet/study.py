@@ -5,9 +5,10 @@
 
 Voyages of 20 ships (`voyages`, a simulator that shares nothing with casid): 5 % have a cause of
 lambda 60 to 3000 (a load that shifted, drag, a gyro that drifted or is late), some of these in
-stretches that last, and 20 % are in seas. `casid.fleet` diagnoses them; the records with a cause,
-and twice as many without (with --quick as many), are then searched one by one in full, which says
-what the same records show singly, what the screening loses and what it saves. Then the main process
+stretches that last, and 20 % are in seas. `casid.fleet` diagnoses them; those with a cause that
+the screening dismissed are then searched one by one in full, which says what it loses. Records with
+a cause, in seas and in calm water, up to 25 of each kind spread over the fleet, are all searched in
+full, which says what it saves: each kind counts as the fleet has it. Then the main process
 of 40 of them is killed (kill -9) at random moments. With --out, a run that was stopped goes on.
 
 Targets: false discoveries at most 5 %, power at least 95 % of what the same records reach singly at
@@ -41,6 +42,7 @@ from analysis.fleet.voyages import CAUSES, Voyage, parameters, plan, write
 RECORDS, QUICK_RECORDS = 500, 40
 SHIPS, QUICK_SHIPS = 20, 4
 KILLS, QUICK_KILLS, KILLED = 10, 0, 40
+TIMED, QUICK_TIMED = 25, 4  # records of each kind whose full search is timed
 LEVEL = 0.05
 PROBLEM = Path(__file__).with_name("roll.py")
 LABELS = "{asset}_{time}.parquet"
@@ -96,12 +98,13 @@ class Judged:
     Attributes
     ----------
     truth : name of a record -> its voyage.
-    fleet, singly : with the screening over all; without it, of some records.
+    fleet : with the screening over all.
+    dismissed : without it, of the records with a cause that the screening dismissed, if any.
     """
 
     truth: dict[str, Voyage]
     fleet: casid.Fleet
-    singly: casid.Fleet
+    dismissed: casid.Fleet | None
 
     @property
     def discovered(self) -> set[str]:
@@ -111,9 +114,15 @@ class Judged:
 
     @property
     def alone(self) -> set[str]:
-        """Records that are deficient when they are diagnosed singly."""
-        rows = self.singly.records
-        return set(rows["record"][rows["p"] <= LEVEL])
+        """Records with a cause that are deficient when they are diagnosed singly.
+
+        A search in full knows nothing of the screening.
+        """
+        every = [self.fleet.records]
+        if self.dismissed is not None:
+            every.append(self.dismissed.records)
+        found = {n for rows in every for n in rows["record"][rows["p"] <= LEVEL]}
+        return found & self.caused
 
     @property
     def caused(self) -> set[str]:
@@ -165,28 +174,17 @@ def study(run: Run) -> Iterator[Target | str]:
         files = [folder / "voyages" / name for name in truth]
         yield f"{len(files)} voyages of {ships} ships"
         fleet, cost = of_fleet(files, folder / "fleet", options.jobs, screen=True)
-        caused, plain = _some(voyages, beside=1 if quick else 2)
-        singly, with_cause = of_fleet(
-            [folder / "voyages" / v.name for v in caused],
-            folder / "singly",
-            options.jobs,
-            screen=False,
-        )
-        _, without = of_fleet(
-            [folder / "voyages" / v.name for v in plain],
-            folder / "without cause",
-            options.jobs,
-            screen=False,
-        )
-        judged = Judged(truth, fleet, singly)
+        rows = fleet.records
+        screened = set(rows["record"][rows["stage"] == "screened"])
+        lost = [v for v in voyages if v.cause and v.name in screened]
+        judged = Judged(truth, fleet, _in_full(lost, folder, "dismissed", options.jobs)[0])
         run.output.table("voyages", [asdict(v) for v in voyages])
         if run.folder is not None:
             fleet.write(folder / "fleet")
         yield from _errors(judged, quick=quick)
         yield from _screening(judged)
-        if cost.records == len(files) and with_cause.records and without.records:
-            share = len(caused) / len(files)  # each kind counts as the fleet has it
-            full = share * with_cause.each + (1.0 - share) * without.each
+        full = _cost_in_full(voyages, folder, options.jobs, QUICK_TIMED if quick else TIMED)
+        if cost.records == len(files) and full is not None:
             yield from _cost(cost, full, quick=quick)
         else:
             yield "the costs are those of a run that was not stopped on the way"
@@ -199,12 +197,40 @@ def study(run: Run) -> Iterator[Target | str]:
             yield holds(f"table after {kills} kills of the main process", text, "the same", same)
 
 
-def _some(voyages: Sequence[Voyage], beside: int) -> tuple[list[Voyage], list[Voyage]]:
-    """All voyages with a cause, and `beside` times as many without, spread over the fleet."""
-    caused = [v for v in voyages if v.cause]
-    plain = [v for v in voyages if not v.cause]
-    wanted = beside * max(len(caused), 1)
-    return caused, plain[:: max(1, len(plain) // wanted)][:wanted]
+def _in_full(
+    voyages: Sequence[Voyage], folder: Path, name: str, n_jobs: int
+) -> tuple[casid.Fleet | None, Cost | None]:
+    """Voyages without the screening, in a folder of that name; None of no voyages."""
+    if not voyages:
+        return None, None
+    files = [folder / "voyages" / v.name for v in voyages]
+    return of_fleet(files, folder / name, n_jobs, screen=False)
+
+
+def _cost_in_full(voyages: Sequence[Voyage], folder: Path, n_jobs: int, timed: int) -> float | None:
+    """Processor seconds a record that the full search takes, each kind as the fleet has it.
+
+    Searches in seas take several times as long as others, and a few of them far longer: a sample
+    over all kinds would have as many of these as chance has it. The start of the processes, which
+    the fleet makes once, does not count. None where a run was stopped.
+    """
+    calm = [v for v in voyages if not v.cause and not v.sea]
+    kinds = {
+        "in calm water": calm,
+        "in seas": [v for v in voyages if not v.cause and v.sea],
+        "with a cause": [v for v in voyages if v.cause],
+    }
+    costs = {"one alone": _in_full(calm[:1], folder, "one alone", n_jobs)[1]}
+    for name, every in kinds.items():
+        places = np.unique(np.linspace(0, len(every) - 1, min(timed, len(every))).astype(int))
+        costs[name] = _in_full([every[i] for i in places], folder, name, n_jobs)[1]
+    if any(cost is None or not cost.records for cost in costs.values()):
+        return None
+    took = {name: (cost.processor, cost.records) for name, cost in costs.items() if cost}
+    whole, n = took["in calm water"]
+    start = took["one alone"][0] - (whole - took["one alone"][0]) / max(n - 1, 1)
+    shares = {name: len(every) / len(voyages) for name, every in kinds.items()}
+    return sum(share * (took[k][0] - start) / took[k][1] for k, share in shares.items())
 
 
 def _errors(j: Judged, *, quick: bool) -> Iterator[Target | str]:
@@ -226,7 +252,7 @@ def _errors(j: Judged, *, quick: bool) -> Iterator[Target | str]:
     )
     alarms = set(e["record"][e["alarm"]])
     yield f"alarms on arrival (LORD++): {len(alarms & caused)} right, {len(alarms - caused)} false"
-    alone = j.alone & caused
+    alone = j.alone
     kept = len(found & caused) / max(len(alone), 1)
     yield holds(
         "power beside that of the records singly",
@@ -249,7 +275,7 @@ def _screening(j: Judged) -> Iterator[Target | str]:
     """What the screening loses."""
     yield "screening"
     rows = j.fleet.records.set_index("record")
-    alone = j.alone & j.caused
+    alone = j.alone
     lost = {n for n in alone if rows.loc[n, "stage"] == "screened"}
     yield holds(
         "power lost to the screening",

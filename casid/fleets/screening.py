@@ -11,15 +11,15 @@ cause. Its scores are computed under the noise that takes all of it for disturba
 is not white at the parameters that are likeliest under it (`disturbance_likelihood`): right in a
 sea, but it may absorb a cause. So the effects that score best are taken out of the residual as
 well: a cause leaves less for disturbances to explain, by a likelihood ratio with one degree of
-freedom; twice the smaller p counts. A line in a sea is judged by its nearest neighbours alone: no
-family of spectra follows the narrow peak of a sea everywhere. A record is searched whatever its
-scores where they cannot speak for it: its channels are others, its own fit is not found, samples
-are spoilt or too few, or its outputs are noise alone.
+freedom. A line in a sea is judged by its nearest neighbours alone: no family of spectra follows the
+narrow peak of a sea everywhere. A record is searched whatever its scores where they cannot speak
+for it: its channels are others, its own fit is not found or held by a bound, samples are spoilt or
+too few, or its outputs are noise alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,8 +37,10 @@ from casid.diagnosis.evidence.records.sufficiency import fewest_samples, why_uni
 from casid.diagnosis.evidence.residual.spectral_peaks import find_peaks
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable, scores_of, step_without_bias
 from casid.diagnosis.evidence.scores.signature_columns import Columns, extended_columns
+from casid.diagnosis.evidence.whitening.fit_points import use_samples_of
+from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted, not_below
-from casid.diagnosis.thresholds import PEAKS
+from casid.diagnosis.thresholds import DISTURBED, PEAKS
 from casid.errors import CasidError, DataError
 from casid.estimation.disturbances.disturbance_likelihood import errors
 from casid.estimation.holdout import split_records
@@ -194,13 +196,7 @@ class Screen:
             disturbed = self._screened_under_disturbance(record, plain, own_fit)
             if disturbed is not None:
                 return disturbed
-        found = self._scored(criterion, own_fit, at)
-        if not at.noise_absorbs_misfit:
-            return replace(found, p_value=min(found.p_value, self._lines(criterion, own_fit)))
-        lines = self._lines(criterion, own_fit, neighbours=_NEAR)
-        return replace(
-            found, p_value=min(1.0, lines, 2.0 * min(found.p_value, self._taken_out(at)))
-        )
+        return self._scored(criterion, own_fit, at)
 
     def _screened_under_disturbance(
         self, record: Experiment, criterion: SimulationError, x: Array | None
@@ -220,7 +216,7 @@ class Screen:
             found = weighing.estimated(self._moved(criterion, x))
         if not found.full.spectra:
             return None
-        bare = weighing.likeliest_near(self.at.model, found)
+        bare = weighing.likeliest_near(self.at.model, found, near=found.full.spectra)
         if x is None and self._is_undetermined(bare):
             return None
         return self._scored_under_disturbance(bare)
@@ -238,22 +234,27 @@ class Screen:
         return bool(np.any(wide & np.array(is_own)))
 
     def _scored_under_disturbance(self, bare: Weighted) -> Screened:
-        """Scores of the catalogue, and gains of the best, under a disturbance."""
+        """Scores of the catalogue, and gains of the best, under a disturbance.
+
+        The score of an effect is what it gains while the disturbance stays as it is; where that is
+        little, it is not followed up, nor where scores or lines decide already.
+        """
         at, x = bare.criterion, bare.fit.x
-        table = scores_of(self._columns(at, x), at, input_sd=bare.input_sd, draws=0)
-        p = table.smallest.adjusted if table.smallest is not None else 1.0
-        best = best_scored(table)
-        passing = 0.5 * float(
-            chdtri(1, SCREENING.share * self.level / (2 * max(len(table.tested), 1)))
-        )
-        columns, known = self._columns(unwhitened(bare), x), self.problem.noise
-        gains = gains_under_disturbance(bare, columns, best, known=known, passing=passing)
-        gain = max(gains, default=0.0)
-        p = 2.0 * min(p, len(table.tested) * float(chdtrc(1, 2.0 * max(gain, 0.0))))
-        _, tangent = at.columns(x, 0)
-        own = self._parameters(at, x, tangent)
-        beside = self._lines(at, x, neighbours=_NEAR)
-        return Screened(min(1.0, p, beside), "", own)
+        table = scores_of(self.columns_at(at, x), at, input_sd=bare.input_sd, draws=0)
+        p = min(_of_scores(table), self._lines(at, x, neighbours=_NEAR))
+        decides = SCREENING.share * self.level / TESTS
+        if p >= decides:
+            count = max(len(table.tested), 1)
+            passing = 0.5 * float(chdtri(1, decides / count))
+            follow = 2 * DISTURBED.followed * passing
+            best = [i for i in best_scored(table) if table.scores[i].unrobust > follow]
+            gain = max(self._gains(bare, best, passing), default=0.0) if best else 0.0
+            p = min(p, count * float(chdtrc(1, 2.0 * max(gain, 0.0))))
+        return self._judged(p, bare.fit)
+
+    def _gains(self, bare: Weighted, effects: list[int], passing: float) -> Iterator[float]:
+        columns, known = self.columns_at(unwhitened(bare), bare.fit.x), self.problem.noise
+        return gains_under_disturbance(bare, columns, effects, known=known, passing=passing)
 
     def _lines(
         self,
@@ -270,12 +271,16 @@ class Screen:
         peaks = find_peaks([residual], Ts, alpha=self.level, neighbours=neighbours)
         return min((peak.p_value for peak in peaks), default=1.0)
 
-    def _columns(self, criterion: SimulationError, x: Array) -> Columns:
-        """Signature columns of the whole catalogue at a fit of another record."""
+    def columns_at(self, criterion: SimulationError, x: Array) -> Columns:
+        """Signature columns of the whole catalogue at a fit of another record.
+
+        Lags that are none yet leave out no samples, as in `widened`.
+        """
         start = dict(zip(criterion.names, x.tolist(), strict=True))
         wide = self.columns.wide.of_records(
             criterion.experiments, weights=criterion.weights, whiten=criterion.whiten, start=start
         )
+        use_samples_of(wide, criterion)
         return replace(self.columns, wide=wide)
 
     def _taken_out(self, at: Weighted) -> float:
@@ -285,7 +290,7 @@ class Screen:
         """
         criterion = at.fit.criterion
         quiet = not_below(at.full.quiet(at.input_sd), criterion, at.fit.x)
-        plain = self._columns(criterion, at.fit.x)
+        plain = self.columns_at(criterion, at.fit.x)
         wide = plain.wide.of_records(
             criterion.experiments,
             weights=criterion.weights,
@@ -328,21 +333,38 @@ class Screen:
         ).misfit
 
     def _scored(self, criterion: SimulationError, x: Array, at: Weighted) -> Screened:
-        """Scores, and the record's own parameters."""
-        table = scores_of(self._columns(criterion, x), criterion, input_sd=at.input_sd, draws=0)
-        p = table.smallest.adjusted if table.smallest is not None else 1.0
-        _, tangent = criterion.columns(x, 0)
-        return Screened(float(p), "", self._parameters(criterion, x, tangent))
+        """Scores and lines under the noise that was estimated, and the record's own parameters.
 
-    def _parameters(
-        self, criterion: SimulationError, x: Array, tangent: Array
-    ) -> tuple[ParameterValue, ...]:
+        The estimate of a score's variance counts an effect that acts in bursts as noise in bursts.
+        So where the noise is known to be no misfit, the score under that noise counts as well.
+        """
+        table = scores_of(self.columns_at(criterion, x), criterion, input_sd=at.input_sd, draws=0)
+        if at.noise_absorbs_misfit:
+            other, neighbours = self._taken_out(at), _NEAR
+        else:
+            most = max((s.unrobust for s in table.tested), default=0.0)
+            other, neighbours = len(table.tested) * float(chdtrc(1, most)), PEAKS.neighbours
+        p = min(_of_scores(table), other, self._lines(criterion, x, neighbours=neighbours))
+        return self._judged(p, self._moved(criterion, x))
+
+    def _judged(self, p: float, fit: Fit) -> Screened:
+        """The outcome from the smallest p of the tests at a fit under the noise.
+
+        The tests leave the parameters free to move, also beyond a bound that holds one.
+        """
+        if held := held_beyond_chance(fit):
+            return Screened(0.0, f"its own fit is held by the bound of {held[0]}")
+        return Screened(min(1.0, TESTS * p), "", self._parameters(fit))
+
+    def _parameters(self, fit: Fit) -> tuple[ParameterValue, ...]:
         """The record's own parameters with their errors, in declared units.
 
         (T'T)^-1 of whitened sensitivities: the noise model is taken for right. A parameter at a
         bound has no error.
         """
-        T = tangent.reshape(-1, tangent.shape[-1])
+        criterion, x = fit.criterion, fit.x
+        T = criterion.columns(x, 0)[1]
+        T = T.reshape(-1, T.shape[-1])
         size = np.sqrt(np.maximum(np.einsum("ij,ij->j", T, T), np.finfo(float).tiny))
         covariance = np.linalg.pinv((T / size).T @ (T / size), hermitian=True)
         errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / size
@@ -387,6 +409,13 @@ def best_scored(table: ScoreTable) -> list[int]:
     return out
 
 
+def _of_scores(table: ScoreTable) -> float:
+    """Family-wise p of the most significant score."""
+    return table.smallest.adjusted if table.smallest is not None else 1.0
+
+
+TESTS = 3
+"""Of a record, whose smallest p counts: its scores, what effects gain, and lines."""
 _NEAR = (SCREENING.beside, SCREENING.beside)
 _FAR = "its own fit was not found from the asset's reference"
 

@@ -94,6 +94,24 @@ def test_of_effects_with_one_signature_one_is_taken_out(screen: Screen) -> None:
     assert best_scored(twice) == places[:1]
 
 
+def test_effects_at_their_null_leave_residual_and_samples_as_they_are(
+    screen: Screen, tmp_path: Path
+) -> None:
+    """The delays and lags of the catalogue are none yet: no first samples are due to the past.
+
+    Those left out would be a jump in the residual, which whitening turns into a large innovation.
+    """
+    path = write_record(tmp_path / "r.csv", samples(12))
+    record = screen.declared.in_si().read(path)
+    base = screen.at.criterion
+    own = base.of_records([record], weights=base.weights, start=screen.at.fit.values)
+    wide = screen.columns_at(own, own.start).wide
+    assert any(name.startswith("delay") for name in wide.names)
+    np.testing.assert_array_equal(wide.data[0].used, own.data[0].used)
+    residuals = (c.simulated(c.start, 0).residual for c in (wide, own))
+    np.testing.assert_allclose(*residuals, atol=1e-9)
+
+
 def test_a_record_with_other_channels_is_searched(screen: Screen, tmp_path: Path) -> None:
     data = samples(10)
     data["extra"] = np.sin(data["t"])

@@ -234,10 +234,14 @@ class Weighing:
         if any(s.damping is not None for s in found.full.spectra.values()):
             yield self.estimated(found.fit, is_simple=True)
 
-    def likeliest_near(self, model: Model, at: Weighted) -> Weighted:
-        """The likeliest parameters, and the noise there, in turn until neither moves."""
+    def likeliest_near(
+        self, model: Model, at: Weighted, near: Mapping[str, DisturbanceSpectrum] | None = None
+    ) -> Weighted:
+        """The likeliest parameters, and the noise there, in turn until neither moves.
+
+        From spectra `near` in the first turn, as in all later ones; by default it seeks its own.
+        """
         best = self._whitened(model, at)
-        near: Mapping[str, DisturbanceSpectrum] = {}
         for _ in range(PREWHITENING.rounds):
             x = likeliest(at.criterion, at.fit.x, at.full, self.known_noise)
             at = self.estimated(moved(at.fit, at.criterion, x), near=near)
