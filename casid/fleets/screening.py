@@ -227,9 +227,14 @@ class Screen:
         return replace(self.at.fit, criterion=criterion, solution=solution)
 
     def _is_undetermined(self, bare: Weighted) -> bool:
-        """True if a standard error exceeds a parameter's value: a large force explains any."""
+        """True if a standard error exceeds a parameter, here and in the asset's reference.
+
+        A large force explains any. One estimated at nothing may be as exact as any other.
+        """
         at, x = bare.criterion, bare.fit.x
-        wide = errors(at, x, bare.noise, self.problem.noise) > np.abs(x)
+        usual = np.array([self.at.fit.values.get(name, 0.0) for name in at.names])
+        sizes = np.maximum(np.abs(x), np.abs(usual))
+        wide = errors(at, x, bare.noise, self.problem.noise) > sizes
         is_own = [v.source in self.problem.model.parameters for v in at.variables]
         return bool(np.any(wide & np.array(is_own)))
 
