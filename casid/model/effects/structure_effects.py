@@ -175,7 +175,8 @@ def relaxing_spring(model: Model, where: str | Place, tau: float) -> Effect:
         k, time_constant = (new.symbol(n) for n in names)
         length = unit_quotient(place.velocity_unit, "1/s", 1)
         r = added_state(new, "r_m", length, initial=0.0 if is_null(new, names) else None)
-        new.derivative(r, place.velocity - r / time_constant)
+        v = in_symbols_of(new, place.velocity)
+        new.derivative(r, v - r / time_constant)
         place.add(new, -k * r)
         known_while_null(new, names)
 

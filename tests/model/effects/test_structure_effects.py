@@ -13,6 +13,7 @@ from casid.estimation.simulation.channels.sample_lines import lines_of
 from casid.estimation.simulation.integration.simulator import Simulator
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.dimensions import check_units
 from casid.model.effects.effect import Sizes, extend_all
 from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES
 from casid.model.effects.structure_effects import (
@@ -316,6 +317,29 @@ def test_a_spring_that_relaxes_is_one_in_series_with_a_damper():
     exact = on_rubber()
     assert np.abs(y - exact).max() < 3e-4 * np.abs(exact).max()
     assert np.abs(positions(m) - exact).max() > 0.1 * np.abs(exact).max()
+
+
+def two_bodies() -> casid.Model:
+    m = casid.Model("two bodies")
+    x, v, w = m.state("x", "m"), m.state("v", "m/s"), m.state("w", "m/s")
+    k, d = m.parameter("k", "N/m", start=K), m.constant("d", D, "N s/m")
+    mass = m.constant("M", M, "kg")
+    m.derivative(x, v - w)
+    m.balance(v, "front", inertia=mass, terms=[-k * x, -d * v, m.input("pull", "N")])
+    m.balance(w, "rear", inertia=mass, terms=[k * x, -d * w])
+    m.output("reach", x, "m")
+    return m
+
+
+def test_a_spring_between_two_bodies_relaxes_in_any_model_with_these_bodies():
+    sizes = Sizes({"x": 0.1, "v": 1.0, "w": 1.0}, {}, (0.0, N * TS), 0.1)
+    every = missing_modes_of(two_bodies(), sizes, TS)
+    springs = {e.where: e for e in every if e.is_store}
+    assert set(springs) == {"front", "rear", "v-w"}
+    extended, _ = extend_all(two_bodies(), list(springs.values()))
+    check_units(extended)
+    e = extended.explicit()
+    assert ca.Function("rates", [e.x, e.u, e.p], [e.f]).size1_out(0) == 3 + len(springs)
 
 
 @pytest.mark.slow
