@@ -247,7 +247,7 @@ class Screen:
         at, x = bare.criterion, bare.fit.x
         table = scores_of(self.columns_at(at, x), at, input_sd=bare.input_sd, draws=0)
         p = min(_of_scores(table), self._lines(at, x, neighbours=_NEAR))
-        decides = SCREENING.share * self.level / TESTS
+        decides = SCREENING.share * self.level / SCREENING.tests
         if p >= decides:
             count = max(len(table.tested), 1)
             passing = 0.5 * float(chdtri(1, decides / count))
@@ -359,7 +359,7 @@ class Screen:
         """
         if held := held_beyond_chance(fit):
             return Screened(0.0, f"its own fit is held by the bound of {held[0]}")
-        return Screened(min(1.0, TESTS * p), "", self._parameters(fit))
+        return Screened(min(1.0, SCREENING.tests * p), "", self._parameters(fit))
 
     def _parameters(self, fit: Fit) -> tuple[ParameterValue, ...]:
         """The record's own parameters with their errors, in declared units.
@@ -419,8 +419,6 @@ def _of_scores(table: ScoreTable) -> float:
     return table.smallest.adjusted if table.smallest is not None else 1.0
 
 
-TESTS = 3
-"""Of a record, whose smallest p counts: its scores, what effects gain, and lines."""
 _NEAR = (SCREENING.beside, SCREENING.beside)
 _FAR = "its own fit was not found from the asset's reference"
 

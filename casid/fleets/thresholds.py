@@ -27,6 +27,12 @@ class Screening:
         "is rejected",
         _STUDY,
     )
+    tests: int = _is(
+        3,
+        "tests of a record, whose smallest p counts times as many: its scores, what effects gain, "
+        "and lines",
+        _SCREENING,
+    )
     references: int = _is(
         5, "first records of an asset whose median fit is its reference", _SCREENING
     )

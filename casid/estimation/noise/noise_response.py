@@ -217,9 +217,9 @@ def _mean_slopes(
         states = criterion.simulated(x, experiment).x[pick]
     a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, d.u[pick], d.u[pick])
     sizes = _gains(np.concatenate([b0, b1, *inside, dd]))
-    nx, ny = len(e.states), len(e.outputs)
+    nx, ny, between = len(e.states), len(e.outputs), len(inside)
     b0, b1, inside, dd = np.split(sizes, [nx, 2 * nx, len(sizes) - ny])
-    inside = inside.reshape(-1, nx, len(e.inputs))
+    inside = inside.reshape(between, nx, len(e.inputs))
     return disturbed, e, (a.mean(axis=1), b0, b1, inside, c.mean(axis=1), dd)
 
 

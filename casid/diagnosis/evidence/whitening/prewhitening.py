@@ -239,7 +239,7 @@ class Weighing:
     ) -> Weighted:
         """The likeliest parameters, and the noise there, in turn until neither moves.
 
-        From spectra `near` in the first turn, as in all later ones; by default it seeks its own.
+        The first turn seeks its own spectra by default, else from those that are `near`.
         """
         best = self._whitened(model, at)
         for _ in range(PREWHITENING.rounds):
@@ -399,10 +399,7 @@ class Weighing:
     def minimum(self, criterion: SimulationError) -> Fit:
         """The fit next to where the criterion starts."""
         return minimize_simulation_error(
-            criterion,
-            solver=self.solver or NEAR,
-            check_rank=False,
-            retry="unsuccessful",
+            criterion, solver=self.solver or NEAR, check_rank=False, retry="unsuccessful"
         )
 
     def criterion(
