@@ -26,6 +26,7 @@ from casid.model.effects.names import (
     RADIATION,
     RATE,
     RATE_LIMIT,
+    TOGETHER,
     constant_quantity,
     effect_words,
     either_words,
@@ -161,7 +162,7 @@ def says_kind(
     if is_relative and kind in _OF_RELATIVES:
         return _OF_RELATIVES[kind].format(where=where)
     place = f"the relative motion {where}" if is_relative else f"the {where} balance"
-    if " and " in where:
+    if TOGETHER in where:
         place = f"the plane of {where}"
     restoring = f"the restoring {where if where in _FORCES else f'term of {place}'}"
     restoring = f"the spring that acts on {where}" if is_relative else restoring

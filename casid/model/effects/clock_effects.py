@@ -19,6 +19,7 @@ from casid.model.effects.names import (
     GAIN_OF_INPUT,
     GROWS_STEADILY,
     SETS_IN,
+    TOGETHER,
 )
 from casid.model.effects.parameter_effects import (
     cost_of_instants,
@@ -41,9 +42,6 @@ from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
 
 STEP, KNOCK, DRIFT = "step", "knock", "drift"
-
-JOINT = " and "
-"""Between the balances that one force acts in."""
 
 
 def offset_step(model: Model, balance: str, time: float, end: float | None = None) -> Effect:
@@ -84,7 +82,7 @@ def joint_offset_step(
         says = f"{what} acts {there} {FOR_A_WHILE}"
     return replace(
         single,
-        where=JOINT.join(where),
+        where=TOGETHER.join(where),
         parameters=(*single.parameters, arm),
         apply=apply,
         cost=single.cost + 1,
@@ -181,7 +179,7 @@ def at_instant(effect: Effect, model: Model, time: float, end: float | None = No
     if effect.shape == KNOCK:
         return knock(model, effect.where, time, effect.constants["duration"])
     if effect.kind == "offset" and len(effect.parameters) > 1:
-        pair, (_, arm) = effect.where.split(JOINT), effect.parameters
+        pair, (_, arm) = effect.where.split(TOGETHER), effect.parameters
         return joint_offset_step(model, pair, arm.start, time, end)
     made = {
         "parameter_jump": parameter_jump,

@@ -39,6 +39,9 @@ _NAMES = {
     "unknown": "unidentified term",
 }
 
+TOGETHER = " and "
+"""Between the places of what acts in several at once: one force, or the parts of a vector."""
+
 FOR_A_WHILE = "for a while"
 """How the descriptions end of changes that are over before the record is."""
 

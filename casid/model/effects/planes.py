@@ -13,6 +13,7 @@ import casadi as ca
 from casid.model.declarations import Balance
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.elements import elements_of
+from casid.model.effects.names import TOGETHER
 from casid.model.effects.place import Expr, Place, is_electrical, is_mechanical, is_zero
 from casid.model.effects.search_ranges import FRICTION_RANGES, SMOOTHING
 from casid.model.model import Model
@@ -95,14 +96,14 @@ def _plane(model: Model, group: Sequence[str]) -> Place:
     parts: list[Expr] = [model.symbol(rate) for rate in rates]
     size = ca.sqrt(sum(x**2 for x in parts) + carrying_unit(SMOOTHING.at_rest**2))
     return Place(
-        where=" and ".join(rates),
+        where=TOGETHER.join(rates),
         unit=first.unit,
         velocity=size,
         velocity_unit=model.states[first.rate].unit,
         position=None,
         position_unit="1",
         shares=tuple((name, x / size) for name, x in zip(group, parts, strict=True)),
-        velocity_name=f"the vector of {' and '.join(rates)}",
+        velocity_name=f"the vector of {TOGETHER.join(rates)}",
         position_name="",
         is_vector=True,
     )
