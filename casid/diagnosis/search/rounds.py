@@ -60,7 +60,7 @@ from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Effect, extend_all
-from casid.model.effects.structure_effects import mode_frequencies, modes_at
+from casid.model.effects.missing_parts import mode_frequencies, modes_at
 from casid.model.effects.user_effects import UserEffect, user_effects
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
@@ -178,7 +178,7 @@ class Search:
         if "missing_mode" not in self.without:
             # Between two frequencies of the catalogue a narrow mode is seen by none of them; what
             # is faster than all of them a step of the simulation does not resolve.
-            fastest = mode_frequencies(sizes, sizes.Ts)[-1]
+            fastest = mode_frequencies(sizes)[-1]
             pitches = [2 * np.pi * peak.frequency for peak in peaks]
             own_pitch = [w for w in pitches if w <= fastest]
             effects += [e for e in modes_at(at.model, own_pitch) if e.key not in taken]

@@ -1,4 +1,4 @@
-"""What an actuator makes of a command beyond a lag: a limit, a dead zone, play."""
+"""What an actuator makes of a command: a lag, a limit, a dead zone, play."""
 
 from __future__ import annotations
 
@@ -9,12 +9,58 @@ import casadi as ca
 from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.declarations import Input, Parameter, Stage
-from casid.model.effects.channel_effects import carry, is_rate_limited, require_command
+from casid.model.effects.alike_commands import alike_commands
+from casid.model.effects.channel_effects import (
+    as_channels,
+    carry,
+    commands_of,
+    is_lagging,
+    is_rate_limited,
+    require_command,
+)
 from casid.model.effects.effect import Effect, Sizes, known_while_null, switched_on
 from casid.model.effects.names import RATE, RATE_LIMIT
-from casid.model.effects.search_ranges import ACTUATORS
+from casid.model.effects.search_ranges import ACTUATORS, RANGES
 from casid.model.model import Model
 from casid.model.units import unit_quotient
+
+
+@names_wrong_types(ModelError)
+def actuator_lag(model: Model, channel: str | Sequence[str], longest: float) -> Effect:
+    """A recorded command that acts through 1/(tau s + 1), tau at most `longest` seconds.
+
+    What the actuator did is computed exactly for the command held or joined by straight lines, and
+    handed to the simulation as a line in each sample with the same mean and first moment: neither
+    the lag nor its derivative moves anything by half a sample. Before the record the command was
+    that of the rest in which the model begins, if one is known (`Model.state`), or what it is at
+    its first sample, if it stands still there; else the first samples, which are due to what it
+    did before, are left out of the fit.
+
+    Parameters
+    ----------
+    channel : a command, or several whose actuators have one lag.
+
+    Raises
+    ------
+    ModelError
+        If the input is not recorded, stands in for an unknown one, or lags already.
+    """
+    channels = as_channels(channel)
+    for name in channels:
+        require_command(model, name, instead="sensor_lag")
+        if is_lagging(model, name):
+            raise ModelError(
+                f"{model.name}: the command {name} acts through a lag already; extend the model "
+                "before that one"
+            )
+    p = Parameter(f"tau_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        for name in channels:
+            carry(new, Stage("lag_input", name, names[0]))
+
+    where = ", ".join(channels)
+    return Effect("actuator_lag", where, (p,), apply, sided="positive", limit=longest, priority=1)
 
 
 def actuator_saturation(model: Model, channel: str, limit: float) -> Effect:
@@ -188,7 +234,14 @@ def _command(model: Model, channel: str, what: str) -> Input:
 
 
 def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Limits and play of every recorded command that no elimination made of an output."""
+    """Lags, limits and play of every recorded command.
+
+    A command lags by itself, or with those alike, unless it does already. Limits and play are those
+    of commands that no elimination made of an output.
+    """
+    longest = RANGES.actuator_lag * (sizes.window[1] - sizes.window[0])
+    free = [c for c in commands_of(model) if not is_lagging(model, c)]
+    yield from (actuator_lag(model, c, longest) for c in (*free, *alike_commands(model, free)))
     eliminated = {m.output for m in model._measured}
     played = {s.channel for s in model.stages if s.kind == "play_input"}
     for channel, entry in model.inputs.items():

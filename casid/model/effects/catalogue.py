@@ -45,6 +45,7 @@ from casid.model.effects.friction_effects import (
     hysteresis,
     stribeck_friction,
 )
+from casid.model.effects.missing_parts import missing_parts_of
 from casid.model.effects.parameter_effects import (
     input_schedules_of,
     is_constant_term,
@@ -66,7 +67,6 @@ from casid.model.effects.search_ranges import (
     UNNAMED_EFFECTS,
 )
 from casid.model.effects.sensor_effects import sensor_effects_of
-from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
 from casid.model.effects.unnamed_effects import (
     linear_loss,
     linear_restoring_force,
@@ -99,7 +99,9 @@ def catalogue(
     without : kinds to leave out.
     """
     effects: list[Effect] = []
-    for place in places_of(model):
+    places = places_of(model)
+    elements = [p for p in places if p.is_relative]
+    for place in places:
         effects += forces_at(model, place, sizes)
         effects += _linear_and_power_laws(model, place, sizes)
         if place.has_own_force:
@@ -108,11 +110,11 @@ def catalogue(
             for channel, unit in recorded.items():
                 reading = sizes.channels.get(channel)
                 effects += extra_inputs_of(model, place.where, channel, unit, reading)
-    for plane in planes_of(model):
+    for plane in planes_of(model, elements):
         effects += _resistances_along(model, plane, sizes)
     effects += _power_laws(model, sizes)
     effects += uptakes_of(model, sizes.ranges)
-    effects += missing_links(model)
+    effects += missing_links(model, elements)
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         effects.append(sensor_bias(model, channel))
@@ -122,9 +124,8 @@ def catalogue(
     effects += further_places_of_inputs(model, sizes)
     effects += channel_effects_of(model, sizes, recorded)
     effects += sensor_effects_of(model, sizes)
-    effects += structure_effects_of(model, sizes)
     effects += actuator_effects_of(model, sizes)
-    effects += missing_modes_of(model, sizes, sizes.Ts)
+    effects += missing_parts_of(model, places, sizes)
     effects += _parameter_variations(model, sizes, recorded)
     effects += extra
     for channel, largest in sizes.largest.items():

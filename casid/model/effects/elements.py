@@ -402,6 +402,11 @@ class _Elements:
         return (*rows, *factors, place.velocity is None, *np.round(values, 9))
 
 
+def are_joined(elements: Sequence[Place], one: str, other: str) -> bool:
+    """True of two balances that an element acts in."""
+    return any({one, other} <= {row for row, _ in e.shares} for e in elements)
+
+
 def _sum(one: Expr | None, other: Expr | None) -> Expr | None:
     if one is None or other is None:
         return one if other is None else other

@@ -33,7 +33,8 @@ def place_named(model: Model, where: str | Place) -> Place:
         return where
     if where in model.balances:
         return balance_place(model, where)
-    found = {p.where: p for p in (*elements_of(model), *planes_of(model))}
+    elements = elements_of(model)
+    found = {p.where: p for p in (*elements, *planes_of(model, elements))}
     if where not in found:
         places = [*model.balances, *found]
         raise ModelError(

@@ -12,7 +12,7 @@ import casadi as ca
 
 from casid.model.declarations import Balance
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.elements import elements_of
+from casid.model.effects.elements import are_joined
 from casid.model.effects.names import TOGETHER
 from casid.model.effects.place import Expr, Place, is_electrical, is_mechanical, is_zero
 from casid.model.effects.search_ranges import FRICTION_RANGES, SMOOTHING
@@ -20,22 +20,25 @@ from casid.model.model import Model
 from casid.model.rate_laws import addends
 
 
-def planes_of(model: Model) -> list[Place]:
+def planes_of(model: Model, elements: Sequence[Place]) -> list[Place]:
     """The vectors whose components are the rates of two or three balances of a model.
 
     The coordinate is the size v of the vector, and a force f(v) along it gives each balance its
     component, f(v) x/v.
+
+    Parameters
+    ----------
+    elements : of the model, `elements_of`: what one of them joins is no vector.
     """
-    return [_plane(model, group) for group in _groups(model)]
+    return [_plane(model, group) for group in _groups(model, elements)]
 
 
-def _groups(model: Model) -> list[list[str]]:
+def _groups(model: Model, elements: Sequence[Place]) -> list[list[str]]:
     """Balances whose rates are components of one vector, each in one group at most."""
-    joined = [{row for row, _ in place.shares} for place in elements_of(model)]
     groups: list[list[str]] = []
     for name in model.balances:
         for group in groups:
-            if all(_is_one_vector(model, one, name, joined) for one in group):
+            if all(_is_one_vector(model, one, name, elements) for one in group):
                 group.append(name)
                 break
         else:
@@ -43,7 +46,7 @@ def _groups(model: Model) -> list[list[str]]:
     return [group for group in groups if 1 < len(group) <= FRICTION_RANGES.directions]
 
 
-def _is_one_vector(model: Model, one: str, other: str, joined: Sequence[set[str]]) -> bool:
+def _is_one_vector(model: Model, one: str, other: str, elements: Sequence[Place]) -> bool:
     """True of two balances in one unit that turn into each other, or have one inertia.
 
     Two bodies of one mass that something joins have a relative motion instead.
@@ -52,7 +55,7 @@ def _is_one_vector(model: Model, one: str, other: str, joined: Sequence[set[str]
     units = [(x.unit, model.states[x.rate].unit) for x in (a, b)]
     if units[0] != units[1] or not (is_mechanical(a.unit) or is_electrical(a.unit)):
         return False
-    if any({one, other} <= rows for rows in joined):
+    if are_joined(elements, one, other):
         return False
     if _turn(model, one, other):
         return True

@@ -20,7 +20,8 @@ _CONTACT = f"{_TESTS}/test_contact_effects.py"
 _FRICTION = f"{_TESTS}/test_friction_effects.py"
 _PLANES = f"{_TESTS}/test_planes.py"
 _SCHEDULED = f"{_TESTS}/test_scheduled_parameter.py"
-_STRUCTURE = f"{_TESTS}/test_structure_effects.py"
+_LAGS = f"{_TESTS}/test_actuator_lag.py"
+_PARTS = f"{_TESTS}/test_missing_parts.py"
 _FLOW_LAWS = f"{_TESTS}/test_flow_laws.py"
 _UNNAMED = f"{_TESTS}/test_unnamed_effects.py"
 
@@ -74,36 +75,34 @@ class Saturations:
 class MissingModes:
     """The search for a part that swings along."""
 
-    frequencies: int = _is(7, "frequencies, evenly in their logarithm, to begin from", _STRUCTURE)
-    slowest: float = _is(4.0, "cycles in the window, of the lowest of them", _STRUCTURE)
-    fastest: float = _is(3.0, "Nyquist's frequency over the highest of them", _STRUCTURE)
-    widest: float = _is(100.0, "of the lowest, the highest without a sample time", _STRUCTURE)
-    lower: float = _is(0.3, "of its start, the lowest frequency of an estimate", _STRUCTURE)
-    upper: float = _is(3.0, "of its start, the highest frequency of an estimate", _STRUCTURE)
-    damping: float = _is(0.05, "damping ratio that the search starts from", _STRUCTURE)
-    least_damping: float = _is(0.001, "lower bound of the damping ratio", _STRUCTURE)
-    cost: int = _is(3, "parameters that a searched frequency costs", _STRUCTURE)
-    cost_in_motion: int = _is(5, "the same where it moves when the record begins", _STRUCTURE)
+    frequencies: int = _is(7, "frequencies, evenly in their logarithm, to begin from", _PARTS)
+    slowest: float = _is(4.0, "cycles in the window, of the lowest of them", _PARTS)
+    fastest: float = _is(3.0, "Nyquist's frequency over the highest of them", _PARTS)
+    widest: float = _is(100.0, "of the lowest, the highest without a sample time", _PARTS)
+    lower: float = _is(0.3, "of its start, the lowest frequency of an estimate", _PARTS)
+    upper: float = _is(3.0, "of its start, the highest frequency of an estimate", _PARTS)
+    damping: float = _is(0.05, "damping ratio that the search starts from", _PARTS)
+    least_damping: float = _is(0.001, "lower bound of the damping ratio", _PARTS)
+    cost: int = _is(3, "parameters that a searched frequency costs", _PARTS)
+    cost_in_motion: int = _is(5, "the same where it moves when the record begins", _PARTS)
 
 
 @dataclass(frozen=True, slots=True)
 class MissingStores:
     """The search for a store that follows another with a time constant."""
 
-    time_constants: int = _is(
-        5, "time constants, evenly in their logarithm, to begin from", _STRUCTURE
-    )
-    shortest: float = _is(4.0, "samples, the shortest of them", _STRUCTURE)
+    time_constants: int = _is(5, "time constants, evenly in their logarithm, to begin from", _PARTS)
+    shortest: float = _is(4.0, "samples, the shortest of them", _PARTS)
     longest: float = _is(
-        0.25, "of the window, the longest: what follows more slowly is a drift", _STRUCTURE
+        0.25, "of the window, the longest: what follows more slowly is a drift", _PARTS
     )
-    widest: float = _is(100.0, "the longest over the shortest without a sample time", _STRUCTURE)
-    lower: float = _is(0.2, "of its start, the shortest time constant of an estimate", _STRUCTURE)
-    upper: float = _is(5.0, "of its start, the longest time constant of an estimate", _STRUCTURE)
+    widest: float = _is(100.0, "the longest over the shortest without a sample time", _PARTS)
+    lower: float = _is(0.2, "of its start, the shortest time constant of an estimate", _PARTS)
+    upper: float = _is(5.0, "of its start, the longest time constant of an estimate", _PARTS)
     cost: int = _is(
         4,
         "parameters that it costs: a capacity, a level at the beginning, a searched time constant",
-        _STRUCTURE,
+        _PARTS,
     )
 
 
@@ -270,12 +269,12 @@ class Actuators:
 class Ranges:
     """Bounds of what an effect's first parameter may be."""
 
-    actuator_lag: float = _is(0.2, "of the window, the longest lag of an actuator", _STRUCTURE)
+    actuator_lag: float = _is(0.2, "of the window, the longest lag of an actuator", _LAGS)
     dead_time: float = _is(
         0.1,
         "of the window, the longest dead time of an input: as much of every output is left out, as "
         "it is due to what was before the record",
-        _STRUCTURE,
+        f"{_TESTS}/test_dead_time.py",
     )
     sensor_lag: float = _is(2.0, "longest delays, the longest lag of a sensor", _CHANNELS)
     lowest_scale: float = _is(

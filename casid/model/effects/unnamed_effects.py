@@ -18,7 +18,7 @@ from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect, Sided, known_while_null
-from casid.model.effects.elements import elements_of
+from casid.model.effects.elements import are_joined
 from casid.model.effects.flow_laws import is_positive
 from casid.model.effects.names import bracketed
 from casid.model.effects.place import Place, is_amount, is_mechanical, is_zero
@@ -223,15 +223,18 @@ def uptakes_of(model: Model, ranges: Mapping[str, tuple[float, float]]) -> Itera
             )
 
 
-def missing_links(model: Model) -> Iterator[Effect]:
+def missing_links(model: Model, elements: Sequence[Place]) -> Iterator[Effect]:
     """c (x2 - x1) in the balance of x1, and the opposite in that of x2: stores that nothing joins.
 
     What the model keeps apart may exchange all the same: a seal leaks from one chamber of a
     cylinder to the other, heat passes between two rooms. The levels are of one kind (temperatures,
     pressures, the levels of tanks), and both balances are of what passes: of concentrations, lags
     and rates of change nothing says how much of one is how much of the other.
+
+    Parameters
+    ----------
+    elements : of the model, `elements_of`.
     """
-    joined = [{row for row, _ in place.shares} for place in elements_of(model)]
     for (one, a), (other, b) in combinations(model.balances.items(), 2):
         level, unit = model.states[a.rate].unit, a.unit
         if not (same_dimension(unit, b.unit) and same_dimension(level, model.states[b.rate].unit)):
@@ -240,7 +243,7 @@ def missing_links(model: Model) -> Iterator[Effect]:
             continue
         if same_dimension(unit, level) or same_dimension(unit, unit_quotient(level, "s")):
             continue
-        if any({one, other} <= rows for rows in joined):
+        if are_joined(elements, one, other):
             continue
         name = f"{a.rate}-{b.rate}"
         place = Place(

@@ -15,6 +15,7 @@ from casid.errors import DataError, ModelError
 from casid.identifiability.equations.model_system import left_out, system_of, translated
 from casid.identifiability.equations.system import System
 from casid.model.declarations import Input
+from casid.model.effects.actuator_effects import actuator_lag
 from casid.model.effects.channel_effects import (
     hold,
     saturation,
@@ -23,7 +24,6 @@ from casid.model.effects.channel_effects import (
     time_delay,
 )
 from casid.model.effects.parameter_effects import parameter_jump
-from casid.model.effects.structure_effects import actuator_lag
 from problems import emps, pendulum, pendulum_rig, roll_decay
 
 MODELS = {

@@ -8,11 +8,11 @@ import pytest
 import casid
 from casid.diagnosis.verdict.sentences import says
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.effects.actuator_effects import actuator_lag
 from casid.model.effects.alike_commands import alike_commands
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channel_effects import dead_time
 from casid.model.effects.effect import Sizes
-from casid.model.effects.structure_effects import actuator_lag
 
 SIZES = Sizes({"w": 1.0, "q": 1.0}, {}, (0.0, 10.0), 0.1)
 

@@ -13,10 +13,10 @@ from casid.estimation.simulation.channels.sample_lines import delayed_lines, lin
 from casid.estimation.simulation.integration.band_limited import moved
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.effects.actuator_effects import actuator_lag
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channel_effects import dead_time, hold, sensor_lag, time_delay
 from casid.model.effects.effect import Sizes
-from casid.model.effects.structure_effects import actuator_lag
 from problems import pendulum
 
 TS = 0.02

@@ -10,6 +10,7 @@ import pytest
 import casid
 from casid.diagnosis.verdict.sentences import says
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.effects.actuator_effects import actuator_lag
 from casid.model.effects.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
@@ -28,7 +29,6 @@ from casid.model.effects.parameter_effects import (
     scheduled_parameter,
 )
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
-from casid.model.effects.structure_effects import actuator_lag
 from problems import pendulum
 
 SIZES = Sizes(

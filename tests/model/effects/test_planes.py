@@ -11,6 +11,7 @@ from casid.model.dimensions import check_units
 from casid.model.effects.balance_effects import coulomb_friction, quadratic_damping
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Sizes
+from casid.model.effects.elements import elements_of
 from casid.model.effects.places import place_named
 from casid.model.effects.planes import planes_of
 
@@ -51,7 +52,7 @@ def machine() -> casid.Model:
 
 
 def test_currents_that_a_rotation_couples_are_one_vector():
-    (plane,) = planes_of(machine())
+    (plane,) = planes_of(machine(), elements_of(machine()))
     assert plane.where == "i_d and i_q"
     assert [row for row, _ in plane.shares] == ["d_axis", "q_axis"]
     dead = [e for e in catalogue(machine(), SIZES, {}) if e.where == plane.where]
@@ -69,7 +70,7 @@ def test_a_body_in_a_plane_has_one_friction_and_one_drag_for_its_whole_motion():
 @pytest.mark.parametrize("model", [puck(), machine()])
 def test_a_vector_is_found_in_the_model_that_has_its_friction_too(model: casid.Model):
     """The sharpness of its reversal is sought there."""
-    (plane,) = planes_of(model)
+    (plane,) = planes_of(model, elements_of(model))
     dry = coulomb_friction(model, plane, 0.1)
     again = place_named(dry.extend(model, starts={dry.parameters[0].name: 1.0}), plane.where)
     assert [row for row, _ in again.shares] == [row for row, _ in plane.shares]
@@ -77,7 +78,7 @@ def test_a_vector_is_found_in_the_model_that_has_its_friction_too(model: casid.M
 
 @pytest.mark.parametrize("model", [puck(is_joined=True), puck(is_square=False)])
 def test_two_bodies_on_one_line_are_no_vector(model: casid.Model):
-    assert planes_of(model) == []
+    assert planes_of(model, elements_of(model)) == []
 
 
 @pytest.mark.parametrize(("law", "size"), [(coulomb_friction, 1.0), (quadratic_damping, 25.0)])

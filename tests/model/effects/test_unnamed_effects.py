@@ -14,6 +14,7 @@ from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import KINDS, Effect, Sizes
+from casid.model.effects.elements import elements_of
 from casid.model.effects.flow_laws import power_law
 from casid.model.effects.unnamed_effects import (
     linear_loss,
@@ -211,7 +212,7 @@ def stores(level: str, flow: str, *, joined: bool = False) -> casid.Model:
 def test_stores_that_nothing_joins_may_exchange_from_the_higher_level_to_the_lower(level, flow):
     """What leaves the one arrives in the other: the sum of both balances is the model's."""
     m = stores(level, flow)
-    (link,) = missing_links(m)
+    (link,) = missing_links(m, elements_of(m))
     assert (link.kind, link.where, link.sided) == ("unknown", "a-b", "positive")
     check_units(m.extend(link))
     (base, f), (_, g) = (
@@ -231,4 +232,4 @@ def test_stores_that_nothing_joins_may_exchange_from_the_higher_level_to_the_low
 )  # fmt: skip
 def test_bodies_concentrations_lags_and_stores_that_are_joined_have_no_missing_link(model):
     """The amounts in which concentrations, lags or rates of change are exchanged are not known."""
-    assert not list(missing_links(model))
+    assert not list(missing_links(model, elements_of(model)))

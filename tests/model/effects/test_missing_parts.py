@@ -1,4 +1,4 @@
-"""Actuators lag as their equation says; a part that moves along acts back with its inertia."""
+"""A part that a model omits moves along, and acts back as two bodies or two stores do."""
 
 from __future__ import annotations
 
@@ -8,156 +8,41 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
-from casid.estimation.simulation.channels.first_order_lags import lag_lines
-from casid.estimation.simulation.channels.sample_lines import lines_of
 from casid.estimation.simulation.integration.simulator import Simulator
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.dimensions import check_units
-from casid.model.effects.effect import Sizes, extend_all
-from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES
-from casid.model.effects.structure_effects import (
-    actuator_lag,
+from casid.model.effects.effect import Effect, Sizes, extend_all
+from casid.model.effects.missing_parts import (
     missing_mode,
-    missing_modes_of,
+    missing_parts_of,
     missing_store,
     mode_frequencies,
     relaxing_spring,
-    structure_effects_of,
     time_constants,
 )
+from casid.model.effects.places import places_of
+from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES
 from problems import pendulum
-
-TS = 0.02
-N = 700
-T = TS * np.arange(N)
-M, D, K = 2.0, 1.5, 50.0
-COMMAND = np.repeat(np.random.default_rng(4).standard_normal(N // 14), 14)
-SIZES = Sizes({"x": 0.1, "v": 1.0}, {}, (0.0, N * TS), 0.1)
-
-
-def oscillator(kind: str = "foh", known: bool = True) -> casid.Model:
-    m = casid.Model("oscillator")
-    x, v = m.state("x", "m", initial=0.0), m.state("v", "m/s", initial=0.0)
-    force = m.input("force", "N", hold=kind, known=known)
-    k = m.parameter("k", "N/m", start=K)
-    m.derivative(x, v)
-    m.balance(v, "force balance", inertia=M, terms=[-k * x, -D * v, force])
-    m.output("position", x, "m")
-    return m
+from tests.support.driven_oscillator import (
+    COMMAND,
+    SIZES,
+    TS,
+    D,
+    K,
+    M,
+    N,
+    T,
+    at,
+    criterion_of,
+    oscillator,
+    positions,
+)
 
 
-def criterion_of(model, force=COMMAND, y=None) -> SimulationError:
-    y = np.zeros(len(force)) if y is None else y
-    record = casid.Record({"force": force, "position": y}, {"force": "N", "position": "m"}, Ts=TS)
-    return SimulationError(model, [casid.Experiment(record, {}, "r")], weights=np.ones(1))
-
-
-def at(criterion, **values: float) -> np.ndarray:
-    return np.array([values.get(v.name, v.start) for v in criterion.variables])
-
-
-def positions(model, force=COMMAND, **values: float) -> np.ndarray:
-    criterion = criterion_of(model, force)
-    return criterion.simulate(at(criterion, **values), 0)[0][:, 0]
-
-
-def held_through_a_lag(tau: float, command=COMMAND) -> np.ndarray:
-    """The plant behind the actuator, its command held, by scipy sample by sample from rest."""
-
-    def rate(_t, z, u):
-        x, v, a = z
-        return [v, (-K * x - D * v + a) / M, (u - a) / tau]
-
-    z, out = np.zeros(3), np.empty(len(command))
-    for i, u in enumerate(command):
-        out[i] = z[0]
-        z = solve_ivp(rate, (0, TS), z, args=(u,), rtol=1e-9, atol=1e-12).y[:, -1]
-    return out
-
-
-@pytest.mark.parametrize("tau", [0.004, 0.03])
-def test_an_output_that_shows_the_command_at_once_shows_it_behind_the_lag(tau):
-    """The current of a coil follows its voltage exactly as the recursion of a held one does."""
-    m = casid.Model("coil")
-    flux = m.state("flux", "V s", initial=0.0)
-    U = m.input("U", "V", hold="zoh", known=True)
-    R = m.parameter("R", "ohm", start=1.2)
-    m.derivative(flux, U)
-    m.output("i", U / R, "A")
-    model = actuator_lag(m, "U", 2.0).extend(m)
-    record = casid.Record({"U": COMMAND, "i": np.zeros(N)}, {"U": "V", "i": "A"}, Ts=TS)
-    criterion = SimulationError(model, [casid.Experiment(record, {}, "r")])
-    current, expected, E = 0.0, np.empty(N), np.exp(-TS / tau)
-    for k in range(N):
-        expected[k] = current / 1.2
-        current = E * current + (1 - E) * COMMAND[k]
-    found = criterion.simulate(at(criterion, tau_U=tau), 0)[0][:, 0]
-    assert found == pytest.approx(expected, abs=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["zoh", "foh"])
-@pytest.mark.parametrize("tau", [0.0, 0.004, 0.03, 0.5])
-def test_the_lag_of_an_actuator_has_the_derivative_of_what_is_computed(tau, kind):
-    m = oscillator(kind)
-    model, (name,) = actuator_lag(m, "force", 2.0).extended(m)
-    if tau == 0.0:
-        assert positions(model) == pytest.approx(positions(m), abs=1e-15)
-    criterion = criterion_of(model)
-    jac = criterion.simulate(at(criterion, **{name: tau}), 0, tangent=True)[2][:, 0]
-    jac = jac[:, criterion.names.index(name)]
-    s = 1e-6
-    if tau == 0.0:
-        y = [positions(model, **{name: k * s}) for k in range(3)]
-        slope = (-3 * y[0] + 4 * y[1] - y[2]) / (2 * s)
-    else:
-        slope = (positions(model, **{name: tau + s}) - positions(model, **{name: tau - s})) / 2 / s
-    assert jac == pytest.approx(slope, abs=1e-5 * np.abs(jac).max())
-
-
-def test_at_first_order_a_short_lag_is_a_delay_without_half_a_sample_of_error():
-    """dy/dtau at tau = 0 is -dy/dt of a plant that was at rest before the record."""
-    m = oscillator("zoh")
-    model, (name,) = actuator_lag(m, "force", 1.0).extended(m)
-    criterion = criterion_of(model, np.where(T < 14 * TS, 0.0, COMMAND))
-    jac = criterion.simulate(at(criterion), 0, tangent=True)[2][:, 0, criterion.names.index(name)]
-    _, states, _ = criterion.simulate(at(criterion), 0)
-    v = states[:, 1]
-    assert np.abs(jac + v).max() < 0.002 * np.abs(v).max()
-    late = np.abs(jac[1:] + v[:-1]).max()
-    assert late > 0.05 * np.abs(v).max()  # what a whole sample would be
-
-
-@pytest.mark.parametrize("tau", [0.005, 0.02, 0.15])
-def test_a_held_command_behind_a_lag_moves_the_plant_as_scipy_says(tau):
-    """Mean and first moment of the actuator's motion are exact: what is left is Ts^3 w^2 / 60."""
-    m = oscillator("zoh")
-    y = positions(actuator_lag(m, "force", 2.0).extend(m), tau_force=tau)
-    exact = held_through_a_lag(tau)
-    assert np.abs(y - exact).max() < 3e-4 * np.abs(exact).max()
-
-
-def test_a_refit_finds_the_lag_of_the_actuator():
-    m = oscillator("zoh")
-    sd, true = 1e-4, 0.04
-    y = held_through_a_lag(true) + sd * np.random.default_rng(1).standard_normal(N)
-    model = actuator_lag(m, "force", 0.5).extend(m)
-    fit = minimize_simulation_error(criterion_of(model, y=y))
-    i = fit.criterion.names.index("tau_force")
-    error = sd * np.sqrt(np.linalg.inv(fit.solution.hessian)[i, i])
-    assert abs(fit.x[i] - true) < 3 * error
-    assert true > 20 * error
-
-
-def test_only_recorded_commands_lag_and_only_once():
-    m = oscillator()
-    extended = actuator_lag(m, "force", 0.5).extend(m)
-    with pytest.raises(casid.ModelError, match="through a lag already; extend the model before"):
-        actuator_lag(extended, "force", 0.5)
-    assert structure_effects_of(extended, SIZES) == []
-    with pytest.raises(casid.ModelError, match="request sensor_lag of such a channel"):
-        actuator_lag(pendulum.problem.model, "accel", 0.5)
-    assert structure_effects_of(pendulum.problem.model, SIZES) == []
+def parts_of(model: casid.Model, sizes: Sizes) -> list[Effect]:
+    """What is sought in a model."""
+    return missing_parts_of(model, places_of(model), sizes)
 
 
 # -- modes ----------------------------------------------------------------------------------------
@@ -234,13 +119,13 @@ def test_pinned_at_zero_a_mode_costs_no_sensitivities_and_its_own_stays_exact():
 
 
 def test_modes_are_sought_in_balances_of_inertia_from_slow_to_fast():
-    every = missing_modes_of(oscillator(), SIZES, TS)
+    every = parts_of(oscillator(), SIZES)
     found = [e for e in every if not e.is_store]
     assert len(found) == MISSING_MODES.frequencies
     assert len(every) == len(found) + MISSING_STORES.time_constants  # springs that relax
     assert len({e.key for e in found}) == 1
     assert found[0].parameters[0].unit == "N s^2/m"
-    frequencies = mode_frequencies(SIZES, TS)
+    frequencies = mode_frequencies(SIZES)
     assert frequencies[0] == pytest.approx(2 * np.pi * 4 / (N * TS))
     assert frequencies[-1] == pytest.approx(np.pi / TS / 3)
 
@@ -252,39 +137,6 @@ def test_a_mode_of_an_indirect_model_stays_in_its_direct_one():
     assert {"q_m", "v_m"} < set(direct.states)
     assert "a_y" in direct.inputs
     direct.explicit()
-
-
-def test_an_actuator_without_a_lag_is_none_where_an_output_shows_its_steps() -> None:
-    """A voltage that is held reaches the measured current of a motor at its own sample."""
-    m = casid.Model("motor")
-    voltage = m.input("voltage", "V", hold="zoh", known=True)
-    w = m.state("w", "rad/s", initial=0.0)
-    J, K = m.constant("J", 0.01, "kg m^2"), m.constant("K", 0.1, "N m/A")
-    R = m.parameter("R", "Ohm", start=2.0)
-    current = (voltage - K * w) / R
-    m.balance(w, "torque", inertia=J, terms=[K * current])
-    m.output("current", current, "A")
-    steps = {"voltage": COMMAND, "current": np.zeros(N)}
-    record = casid.Record(steps, {"voltage": "V", "current": "A"}, Ts=TS)
-    plain, lagging = (
-        SimulationError(model, [casid.Experiment(record, {}, "r")])
-        for model in (m, actuator_lag(m, "voltage", 1.0).extend(m))
-    )
-    assert lagging.simulate(lagging.start, 0)[0] == pytest.approx(
-        plain.simulate(plain.start, 0)[0], abs=1e-12
-    )
-
-
-@pytest.mark.parametrize("tau", [0.0, 1e-6, 0.03, 0.0999, 0.1001])
-def test_a_short_lag_of_a_held_input_is_near_no_lag_and_has_its_derivative(tau: float) -> None:
-    """Of the value at the sample on which the input steps, too, which an output may show."""
-    steps = np.repeat([0.0, 1.0, -2.0], 5)
-    step = 1e-7
-    line, change = lag_lines(lines_of(steps, "zoh"), tau, steps=True)
-    above = lag_lines(lines_of(steps, "zoh"), tau + step, steps=True)[0]
-    assert (above - line) / step == pytest.approx(change, abs=1e-4)
-    if tau == 0.0:
-        assert line == pytest.approx(np.stack([steps] * 3, axis=1), abs=1e-12)
 
 
 # -- springs that relax ---------------------------------------------------------------------------
@@ -332,8 +184,8 @@ def two_bodies() -> casid.Model:
 
 
 def test_a_spring_between_two_bodies_relaxes_in_any_model_with_these_bodies():
-    sizes = Sizes({"x": 0.1, "v": 1.0, "w": 1.0}, {}, (0.0, N * TS), 0.1)
-    every = missing_modes_of(two_bodies(), sizes, TS)
+    sizes = Sizes({"x": 0.1, "v": 1.0, "w": 1.0}, {}, (0.0, N * TS), 0.1, TS)
+    every = parts_of(two_bodies(), sizes)
     springs = {e.where: e for e in every if e.is_store}
     assert set(springs) == {"front", "rear", "v-w"}
     extended, _ = extend_all(two_bodies(), list(springs.values()))
@@ -396,7 +248,7 @@ def heated(behind: float = 0.0) -> np.ndarray:
 
 
 TS_HEAT = 0.1
-HEATED = Sizes({"T": 10.0}, {}, (0.0, N * TS_HEAT), 0.1)
+HEATED = Sizes({"T": 10.0}, {}, (0.0, N * TS_HEAT), 0.1, TS_HEAT)
 
 
 def oven_criterion(model, y) -> SimulationError:
@@ -450,13 +302,13 @@ def test_a_store_is_shown_in_the_unit_of_the_one_that_it_follows():
 
 def test_stores_are_sought_in_balances_without_a_position_from_samples_to_a_share_of_the_record():
     m = oven()
-    found = missing_modes_of(m, HEATED, TS_HEAT)
+    found = parts_of(m, HEATED)
     assert len(found) == MISSING_STORES.time_constants
     assert {e.key for e in found} == {("missing_mode", "heat")}
-    times = time_constants(HEATED, TS_HEAT)
+    times = time_constants(HEATED)
     assert times[0] == pytest.approx(4 * TS_HEAT)
     assert times[-1] == pytest.approx(0.25 * N * TS_HEAT)
-    assert time_constants(Sizes({}, {}, (0.0, 1.0), 0.1), 0.1) == []
+    assert time_constants(Sizes({}, {}, (0.0, 1.0), 0.1, 0.1)) == []
 
 
 def test_between_two_bodies_a_part_swings_and_acts_on_both():
@@ -474,7 +326,7 @@ def test_between_two_bodies_a_part_swings_and_acts_on_both():
     m.output("speed", w1, "rad/s")
     effect = missing_mode(m, "w1-w2", OMEGA)
     assert effect.description == "acts on e in motor and in load times -1"
-    assert {e.where for e in missing_modes_of(m, SIZES, TS)} == {"motor", "load", "w1-w2"}
+    assert {e.where for e in parts_of(m, SIZES)} == {"motor", "load", "w1-w2"}
     model = effect.extend(m, starts={"J_m": J, "zeta_m": ZETA})
 
     def rate(t, z):
@@ -499,7 +351,7 @@ def test_a_body_without_a_position_may_have_a_part_that_swings_along():
     w = shaft.state("w", "rad/s")
     shaft.balance(w, "torque", inertia=1.0, terms=[-shaft.parameter("d", "N m s/rad") * w])
     shaft.output("speed", w, "rad/s")
-    found = missing_modes_of(shaft, Sizes({"w": 1.0}, {}, (0.0, 60.0), 0.1), 0.1)
+    found = parts_of(shaft, Sizes({"w": 1.0}, {}, (0.0, 60.0), 0.1, 0.1))
     assert {e.where for e in found} == {"torque"}
 
 
@@ -518,37 +370,3 @@ def test_modes_of_coupled_balances_are_solved_for_beside_effects_in_their_inerti
     explicit = extended.explicit()
     assert len(explicit.states) == 3 + 2 * len(modes)
     assert extended.name == "arm + missing_mode + missing_mode + missing_mode + 3 more"
-
-
-@pytest.mark.parametrize("still", [False, True])
-def test_the_lag_of_a_command_that_moves_as_the_record_begins_is_found(still: bool) -> None:
-    """What the actuator did before is not recorded: of a thruster under control in mid-course.
-
-    A command that stands still at first was there before, and its first step counts.
-    """
-    tau, rng = 0.2, np.random.default_rng(8)
-    before = 0 if still else 100
-    command = 2.0 * rng.standard_normal(N + before)
-    if still:
-        command[:30], command[150:] = 0.0, 2.0  # its only moves are early ones
-    v = acting = 0.0
-    speed = np.empty(N + before)
-    for k, u in enumerate(command):  # exact for a held command, but for the mean of what acts
-        speed[k] = v
-        decay, inside = np.exp(-TS / tau), 1 - tau / TS * (1 - np.exp(-TS / tau))
-        mean = acting + (u - acting) * inside
-        v = v * np.exp(-D / M * TS) + (1 - np.exp(-D / M * TS)) / D * mean
-        acting += (u - acting) * (1 - decay)
-    speed, command = speed[before:] + 1e-3 * rng.standard_normal(N), command[before:]
-    m = casid.Model("hull")
-    x = m.state("v", "m/s")
-    force = m.input("force", "N", hold="zoh", known=True)
-    m.balance(x, "surge", inertia=m.parameter("M", "kg", start=1.5), terms=[-D * x, force])
-    m.output("position", x, "m/s")
-    lagging = m.extend(actuator_lag(m, "force", longest=2.0)).with_unknown(tau_force=0.1)
-    record = casid.Record(
-        {"force": command, "position": speed}, {"force": "N", "position": "m/s"}, TS
-    )
-    fit = minimize_simulation_error(SimulationError(lagging, [casid.Experiment(record)]))
-    assert fit.values["tau_force"] == pytest.approx(tau, abs=0.005)
-    assert fit.values["M"] == pytest.approx(M, abs=0.04)

@@ -1,6 +1,6 @@
-"""Effects in the structure: an actuator between command and action, a part that moves along.
+"""Parts that a model omits and that move along.
 
-The part swings beside a body or between two, and where a balance has a position, or its force
+Such a part swings beside a body or between two, and where a balance has a position, or its force
 relaxes there as that of rubber; elsewhere it follows with a time constant: a second thermal mass,
 the branch of eddy currents, a compartment.
 """
@@ -13,62 +13,15 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
-from casid.model.declarations import Parameter, Stage
-from casid.model.effects.alike_commands import alike_commands
-from casid.model.effects.channel_effects import (
-    as_channels,
-    carry,
-    commands_of,
-    is_lagging,
-    require_command,
-)
+from casid.model.declarations import Parameter
 from casid.model.effects.effect import Effect, Sizes, added_state, is_null, known_while_null
 from casid.model.effects.names import RELAXATION, RELAXES
 from casid.model.effects.place import Expr, Place, balance_place, in_symbols_of, is_mechanical
 from casid.model.effects.places import place_named, places_of
-from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES, RANGES
+from casid.model.effects.search_ranges import MISSING_MODES, MISSING_STORES
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
-
-
-@names_wrong_types(ModelError)
-def actuator_lag(model: Model, channel: str | Sequence[str], longest: float) -> Effect:
-    """A recorded command that acts through 1/(tau s + 1), tau at most `longest` seconds.
-
-    What the actuator did is computed exactly for the command held or joined by straight lines, and
-    handed to the simulation as a line in each sample with the same mean and first moment: neither
-    the lag nor its derivative moves anything by half a sample. Before the record the command was
-    that of the rest in which the model begins, if one is known (`Model.state`), or what it is at
-    its first sample, if it stands still there; else the first samples, which are due to what it
-    did before, are left out of the fit.
-
-    Parameters
-    ----------
-    channel : a command, or several whose actuators have one lag.
-
-    Raises
-    ------
-    ModelError
-        If the input is not recorded, stands in for an unknown one, or lags already.
-    """
-    channels = as_channels(channel)
-    for name in channels:
-        require_command(model, name, instead="sensor_lag")
-        if is_lagging(model, name):
-            raise ModelError(
-                f"{model.name}: the command {name} acts through a lag already; extend the model "
-                "before that one"
-            )
-    p = Parameter(f"tau_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest)
-
-    def apply(new: Model, names: Sequence[str]) -> None:
-        for name in channels:
-            carry(new, Stage("lag_input", name, names[0]))
-
-    where = ", ".join(channels)
-    return Effect("actuator_lag", where, (p,), apply, sided="positive", limit=longest, priority=1)
 
 
 def missing_mode(model: Model, where: str | Place, omega: float, *, at_rest: bool = True) -> Effect:
@@ -89,9 +42,7 @@ def missing_mode(model: Model, where: str | Place, omega: float, *, at_rest: boo
     ModelError
         If the place has no rate, or one that an input enters, of which no derivative is known.
     """
-    place = place_named(model, where)
-    if not _swings(model, place):
-        raise ModelError(f"{model.name}: {place.where} has no rate of states alone to swing with")
+    place = _swinging(model, where)
     unit, shown = _inertia_units(model, place)
     lowest, highest = MISSING_MODES.lower * omega, MISSING_MODES.upper * omega
     least = MISSING_MODES.least_damping
@@ -128,6 +79,17 @@ def missing_mode(model: Model, where: str | Place, omega: float, *, at_rest: boo
     )
 
 
+def _swinging(model: Model, where: str | Place) -> Place:
+    """The place of this name, which has to be one where a part may swing."""
+    place = place_named(model, where)
+    if not _swings(model, place):
+        raise ModelError(
+            f"{model.name}: {place.where} has no rate of states alone, which a further part could "
+            "follow"
+        )
+    return place
+
+
 def _swings(model: Model, place: Place) -> bool:
     """True of a rate of states, of bodies or of what has a position."""
     if place.velocity is None or not place.has_own_force:
@@ -146,59 +108,6 @@ def _change(model: Model, velocity: Expr) -> Expr:
     v = ca.SX(in_symbols_of(model, velocity))
     own = [s for s in ca.symvar(v) if s.name() in model.states]
     return sum(ca.jacobian(v, s) * model.der(s) for s in own)
-
-
-def relaxing_spring(model: Model, where: str | Place, tau: float) -> Effect:
-    """A spring whose force relaxes with a time constant `tau` [s] at first: rubber, creep.
-
-    The spring and a damper stand in series, Maxwell's element: with v the rate of a balance, or a
-    relative motion between two bodies, in both,
-
-        r' = v - r / tau                                                                     (3)
-
-    and -k_m r acts on it. The stretch r of the spring when the record begins is estimated. Without
-    k_m nothing shows tau: it is then known, and the spring begins without a force.
-
-    Raises
-    ------
-    ModelError
-        If the place has no rate, or one that an input enters, of which no derivative is known.
-    """
-    place = place_named(model, where)
-    if not _swings(model, place):
-        raise ModelError(f"{model.name}: {place.where} has no rate of states alone for a spring")
-    stiffness = unit_quotient(unit_quotient(place.unit, place.velocity_unit, 1), "s", 1)
-    p = (Parameter("k_m", stiffness, 0.0, lower=0.0), _time_constant(tau))
-
-    def apply(new: Model, names: Sequence[str]) -> None:
-        """Add the stretch of a spring that the velocity drives, and its force."""
-        k, time_constant = (new.symbol(n) for n in names)
-        length = unit_quotient(place.velocity_unit, "1/s", 1)
-        r = added_state(new, "r_m", length, initial=0.0 if is_null(new, names) else None)
-        v = in_symbols_of(new, place.velocity)
-        new.derivative(r, v - r / time_constant)
-        place.add(new, -k * r)
-        known_while_null(new, names)
-
-    return Effect(
-        "missing_mode",
-        place.where,
-        p,
-        apply,
-        sided="positive",
-        variant=tau,
-        cost=MISSING_STORES.cost,
-        priority=1,
-        shape=RELAXATION,
-        description=f"{place.a_quantity()} that {RELAXES}, as that of rubber, is missing "
-        f"({place.words or f'in the {place.where} balance'})",
-    )
-
-
-def _time_constant(tau: float) -> Parameter:
-    """The time constant of a further store or spring, searched about `tau` [s]."""
-    lower, upper = MISSING_STORES.lower * tau, MISSING_STORES.upper * tau
-    return Parameter("tau_m", "s", tau, lower=lower, upper=upper)
 
 
 def missing_store(model: Model, balance: str, tau: float) -> Effect:
@@ -240,6 +149,57 @@ def missing_store(model: Model, balance: str, tau: float) -> Effect:
     )
 
 
+def relaxing_spring(model: Model, where: str | Place, tau: float) -> Effect:
+    """A spring whose force relaxes with a time constant `tau` [s] at first: rubber, creep.
+
+    The spring and a damper stand in series, Maxwell's element: with v the rate of a balance, or a
+    relative motion between two bodies, in both,
+
+        r' = v - r / tau                                                                     (3)
+
+    and -k_m r acts on it. The stretch r of the spring when the record begins is estimated. Without
+    k_m nothing shows tau: it is then known, and the spring begins without a force.
+
+    Raises
+    ------
+    ModelError
+        If the place has no rate, or one that an input enters, of which no derivative is known.
+    """
+    place = _swinging(model, where)
+    stiffness = unit_quotient(unit_quotient(place.unit, place.velocity_unit, 1), "s", 1)
+    p = (Parameter("k_m", stiffness, 0.0, lower=0.0), _time_constant(tau))
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        """Add the stretch of a spring that the velocity drives, and its force."""
+        k, time_constant = (new.symbol(n) for n in names)
+        length = unit_quotient(place.velocity_unit, "1/s", 1)
+        r = added_state(new, "r_m", length, initial=0.0 if is_null(new, names) else None)
+        v = in_symbols_of(new, place.velocity)
+        new.derivative(r, v - r / time_constant)
+        place.add(new, -k * r)
+        known_while_null(new, names)
+
+    return Effect(
+        "missing_mode",
+        place.where,
+        p,
+        apply,
+        sided="positive",
+        variant=tau,
+        cost=MISSING_STORES.cost,
+        priority=1,
+        shape=RELAXATION,
+        description=f"{place.a_quantity()} that {RELAXES}, as that of rubber, is missing "
+        f"({place.words or f'in the {place.where} balance'})",
+    )
+
+
+def _time_constant(tau: float) -> Parameter:
+    """The time constant of a further store or spring, searched about `tau` [s]."""
+    lower, upper = MISSING_STORES.lower * tau, MISSING_STORES.upper * tau
+    return Parameter("tau_m", "s", tau, lower=lower, upper=upper)
+
+
 def _inertia_units(model: Model, place: Place) -> tuple[str, str]:
     """SI unit of a further inertia at a place, and the unit that it is shown in.
 
@@ -253,53 +213,53 @@ def _inertia_units(model: Model, place: Place) -> tuple[str, str]:
     return own.unit, model.declared_units.get(own.name, own.unit)
 
 
-def time_constants(sizes: Sizes, Ts: float | None = None) -> list[float]:
+def time_constants(sizes: Sizes) -> list[float]:
     """Time constants [s] from a few samples up to a share of the record."""
     start, stop = sizes.window
     longest = MISSING_STORES.longest * (stop - start)
-    shortest = longest / MISSING_STORES.widest if Ts is None else MISSING_STORES.shortest * Ts
+    shortest = longest / MISSING_STORES.widest
+    if sizes.Ts is not None:
+        shortest = MISSING_STORES.shortest * sizes.Ts
     if shortest >= longest:
         return []
     return [float(tau) for tau in np.geomspace(shortest, longest, MISSING_STORES.time_constants)]
 
 
-def mode_frequencies(sizes: Sizes, Ts: float | None = None) -> list[float]:
+def mode_frequencies(sizes: Sizes) -> list[float]:
     """Frequencies [rad/s] from four cycles a record up to a third of Nyquist's."""
     start, stop = sizes.window
     low = 2 * math.pi * MISSING_MODES.slowest / (stop - start)
-    high = math.pi / Ts / MISSING_MODES.fastest if Ts is not None else MISSING_MODES.widest * low
+    high = MISSING_MODES.widest * low
+    if sizes.Ts is not None:
+        high = math.pi / sizes.Ts / MISSING_MODES.fastest
     return [float(w) for w in np.geomspace(low, max(high, 2 * low), MISSING_MODES.frequencies)]
 
 
-def structure_effects_of(model: Model, sizes: Sizes) -> list[Effect]:
-    """Actuators that may lag: one for each recorded command that does not yet, and those alike."""
-    longest = RANGES.actuator_lag * (sizes.window[1] - sizes.window[0])
-    free = [c for c in commands_of(model) if not is_lagging(model, c)]
-    return [actuator_lag(model, c, longest) for c in (*free, *alike_commands(model, free))]
-
-
-def missing_modes_of(model: Model, sizes: Sizes, Ts: float | None = None) -> list[Effect]:
+def missing_parts_of(model: Model, places: Sequence[Place], sizes: Sizes) -> list[Effect]:
     """Parts that may move along with every body and store.
 
     They swing beside a body, between two, and where the rate is the derivative of a position; with
     what has none they follow. All of them together are cheap to test where their first parameters
     are pinned at zero (`Effect.extended` with upper=0).
+
+    Parameters
+    ----------
+    places : of the model, `places_of`.
     """
-    times = time_constants(sizes, Ts)
-    found = modes_at(model, mode_frequencies(sizes, Ts))
-    swinging = {e.where for e in found}
-    found += [relaxing_spring(model, p, t) for p in _swinging_places(model) for t in times]
+    swinging = [p for p in places if _swings(model, p)]
+    frequencies, times = mode_frequencies(sizes), time_constants(sizes)
+    found = [missing_mode(model, p, omega) for p in swinging for omega in frequencies]
+    found += [relaxing_spring(model, p, tau) for p in swinging for tau in times]
+    own = {p.where for p in swinging}
     for balance, b in model.balances.items():
-        if balance not in swinging and not is_mechanical(b.unit):
+        if balance not in own and not is_mechanical(b.unit):
             found += [missing_store(model, balance, tau) for tau in times]
     return found
 
 
 def modes_at(model: Model, frequencies: Sequence[float]) -> list[Effect]:
     """Parts that may swing along, each with natural frequencies [rad/s] to begin from."""
-    places = _swinging_places(model)
-    return [missing_mode(model, place, omega) for place in places for omega in frequencies]
-
-
-def _swinging_places(model: Model) -> list[Place]:
-    return [p for p in places_of(model) if _swings(model, p)]
+    if not frequencies:
+        return []
+    swinging = [p for p in places_of(model) if _swings(model, p)]
+    return [missing_mode(model, p, omega) for p in swinging for omega in frequencies]
