@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from casid.arrays import Array
-
-RESOLVED = 1e-4
-"""Of the states, to which the slopes of a sample are those of the simulation's own steps."""
+from casid.estimation.noise.thresholds import STEPS
 
 
 def fewest_steps(slopes: Array, least: int, most: int) -> int:
@@ -20,7 +18,7 @@ def fewest_steps(slopes: Array, least: int, most: int) -> int:
     exact = passed(slopes, most)
     size = np.max(np.abs(exact), initial=1.0)
     for n in range(least, most):
-        if np.all(np.abs(passed(slopes, n) - exact) <= RESOLVED * size):
+        if np.all(np.abs(passed(slopes, n) - exact) <= STEPS.resolved * size):
             return n
     return most
 

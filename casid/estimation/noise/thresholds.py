@@ -176,6 +176,17 @@ class VaryingResponse:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """How many steps of Runge and Kutta the noise response of a sample is taken over."""
+
+    resolved: float = _is(
+        1e-4,
+        "of the states, to which the slopes of a sample are those of the simulation's own steps",
+        "tests/estimation/noise/test_noise_response.py",
+    )
+
+
 REMOVAL = Removal()
 FILLINGS = Fillings()
 FAR_ROOT = FarRoot()
@@ -183,3 +194,4 @@ VARIANCE_SLOPE = VarianceSlope()
 STATED_NOISE = StatedNoise()
 CHANNEL_FLOOR = ChannelFloor()
 VARYING_RESPONSE = VaryingResponse()
+STEPS = Steps()

@@ -31,7 +31,7 @@ from casid.estimation.simulation.channels.sensor_dynamics import (
     prepared_inputs,
     through_sensor,
 )
-from casid.estimation.simulation.integration.simulator import Simulated, Simulator, placed
+from casid.estimation.simulation.integration.simulator import Simulator, placed
 from casid.estimation.simulation.records.measured_states import (
     measured_output,
     measured_states,
@@ -45,6 +45,7 @@ from casid.estimation.simulation.records.signals import (
     signals_of,
     window_cuts,
 )
+from casid.estimation.simulation.simulated_record import Simulated
 from casid.estimation.unknowns import LastOf, LastPoints, Unknowns, Variable
 from casid.grouping import Grouped
 from casid.model.model import Model

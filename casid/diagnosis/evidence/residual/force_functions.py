@@ -12,8 +12,8 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.thresholds import FUNCTIONS
 from casid.estimation.feedback import slope
-from casid.estimation.simulation.integration.simulator import Simulated
 from casid.estimation.simulation.records.signals import Signals
+from casid.estimation.simulation.simulated_record import Simulated
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 

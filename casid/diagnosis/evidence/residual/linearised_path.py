@@ -23,8 +23,9 @@ from casid.estimation.simulation.channels.first_order_lags import lag_columns
 from casid.estimation.simulation.channels.known_rest import rest_before
 from casid.estimation.simulation.channels.sensor_dynamics import delay_columns
 from casid.estimation.simulation.input_noise.input_noise import input_noise_sd
-from casid.estimation.simulation.integration.simulator import Simulated, rk4_sample
+from casid.estimation.simulation.integration.simulator import rk4_sample
 from casid.estimation.simulation.records.signals import Signals
+from casid.estimation.simulation.simulated_record import Simulated
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.declarations import Input
 

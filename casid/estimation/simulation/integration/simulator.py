@@ -40,16 +40,6 @@ class Trajectory:
     dbefore: Array | None = None  # (N, nj, nv)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
-    """Outputs, residuals and sensitivities of one experiment at one point."""
-
-    y: Array  # (N, ny)
-    residual: Array  # (N, ny), zero where a sample is not used, over the noise's relative size
-    jacobian: Array  # (N, ny, n), d yhat / d variables, likewise
-    x: Array  # (N, nx)
-
-
 def rk4_sample(
     model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int, between: Any = None
 ) -> Any:
