@@ -80,6 +80,7 @@ from .model.declarations import Parameter
 from .model.effects.actuator_effects import actuator_lag, input_backlash, rate_limit
 from .model.effects.channel_effects import dead_time, hold, saturation, sensor_lag, time_delay
 from .model.effects.effect import Effect
+from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
 from .model.model import Model
 from .report.figures.network_drawing import network_figure
 from .saving.archive import load

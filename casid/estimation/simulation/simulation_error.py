@@ -33,7 +33,7 @@ from casid.estimation.simulation.channels.sensor_dynamics import (
 )
 from casid.estimation.simulation.integration.simulator import Simulator, placed
 from casid.estimation.simulation.records.measured_states import (
-    measured_output,
+    declared_states,
     measured_states,
     output_equations,
     state_size,
@@ -231,11 +231,7 @@ class SimulationError:
         A single part begins in what outputs determine only where the model is not finite otherwise.
         """
         model, unknowns, d = self.model, self.unknowns, self._as_read[e]
-        starts = np.tile([s.nominal for s in model.states.values()], (len(at), 1))
-        for j, name in enumerate(model.states):
-            for i, k in enumerate(at.tolist()):
-                measured = measured_output(model, name, d, k)
-                starts[i, j] = starts[i, j] if measured is None else measured
+        starts = declared_states(model, d, at)
         tags = [[self._tag(name, i, e) for name in model.states] for i in range(len(at))]
         if not all(unknowns.is_given(tag) for row in tags for tag in row):
             values = unknowns.parameters(unknowns.start, e, places)

@@ -70,6 +70,16 @@ def measured_output(model: Model, state: str, d: Signals, k: int) -> float | Non
     return None
 
 
+def declared_states(model: Model, d: Signals, at: Array) -> Array:
+    """(len(at), nx) states at samples `at`: as an output measures them, or as declared."""
+    states = np.tile([s.nominal for s in model.states.values()], (len(at), 1))
+    for j, name in enumerate(model.states):
+        for i, k in enumerate(at.tolist()):
+            measured = measured_output(model, name, d, k)
+            states[i, j] = states[i, j] if measured is None else measured
+    return states
+
+
 def measured_states(
     equations: OutputEquations, d: Signals, p: Array, at: Array, near: Array
 ) -> Array:
