@@ -294,6 +294,18 @@ class GrowingNoise:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class InitialStates:
+    """When the initial state of a record that was not fitted is near enough to its minimum."""
+
+    enough: float = _is(
+        1e-7,
+        "of its squared error, less than which a step would lower it: what is held out is judged "
+        "by a hundredth of that error",
+        "tests/estimation/simulation/test_initial_state.py",
+    )
+
+
 RECORD_AGREEMENT = RecordAgreement()
 FIT_BUDGET = FitBudget()
 STEPS = Steps()
@@ -306,3 +318,4 @@ INPUT_ANSWERS = InputAnswers()
 READINGS = Readings()
 FORESEEN = Foreseen()
 GROWING_NOISE = GrowingNoise()
+INITIAL_STATES = InitialStates()
