@@ -16,6 +16,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from casid.arrays import Array
+from casid.errors import SolveError
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
 from casid.estimation.noise.filled_noise import noise_spectrum
 from casid.estimation.noise.resolving_steps import fewest_steps
@@ -95,6 +96,11 @@ def noise_response(
     a, b0, b1, inside, c, dd = means
     parts = len(inside) + 1
     model, d = criterion.model, criterion.data[experiment]
+    if not all(bool(np.isfinite(m).all()) for m in means):
+        raise SolveError(
+            f"{model.name}: the simulation of {d.name} diverges at these values, so its response "
+            "to noise is not known; change the start values, or fix a parameter"
+        )
     forced = places_of_forces(model)
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
     if omega is None:

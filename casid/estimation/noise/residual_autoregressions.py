@@ -235,15 +235,17 @@ def _restricted_likelihood(models: Sequence[Autoregression], records: Sequence[W
     for record in records:
         for m, (r, t) in zip(models, record, strict=True):
             value += 0.5 * m.log_determinant(len(r))
-            parts.append(m.whiten(np.column_stack([r, t])))
+            parts.append(m.whiten(np.column_stack([t, r])))
     whole = np.concatenate(parts)
-    e, tangent = whole[:, 0], whole[:, 1:]
-    size = np.sqrt(np.sum(tangent**2, axis=0))
+    size = np.sqrt(np.sum(whole**2, axis=0))
+    size[-1] = size[-1] or 1.0
     seen = size > 0
-    q, triangle = np.linalg.qr(tangent[:, seen] / size[seen])
-    left = e - q @ (q.T @ e)
-    logs = np.log(np.maximum(np.abs(np.diag(triangle)), TINY)) + np.log(size[seen])
-    return value + float(np.sum(logs)) + 0.5 * float(left @ left)
+    # The last column of the triangle is the residual: what no sensitivity explains of it stands
+    # below those.
+    triangle = np.linalg.qr(whole[:, seen] / size[seen], mode="r")
+    logs = np.log(np.maximum(np.abs(np.diag(triangle)[:-1]), TINY)) + np.log(size[seen][:-1])
+    left = float(triangle[-1, -1] * size[-1])
+    return value + float(np.sum(logs)) + 0.5 * left**2
 
 
 def residual_autoregressions(fit: Fit, free: Array) -> tuple[list[Autoregression], Array]:
