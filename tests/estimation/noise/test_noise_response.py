@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import casid
+from casid.errors import SolveError
 from casid.estimation.noise import noise_response, resolving_steps
 from casid.estimation.noise.model_spectra import ModelSpectra
 from casid.estimation.noise.noise_response import Response, with_windowed_spectra
@@ -92,3 +93,12 @@ def test_spectra_are_differentiated_along_the_tangents_of_the_motion():
     criterion.simulate = None  # linearised where the tangents lead
     del criterion.state_tangents
     assert of.spectra(x, 0, omega)[1].keys() == found.keys()
+
+
+def test_where_the_simulation_diverges_the_response_is_refused():
+    """A spring that softens with the cube of what it is stretched by leaves every state."""
+    criterion = spring()
+    x = criterion.start.copy()
+    x[[v.name for v in criterion.variables].index("c")] = -1e4
+    with np.errstate(all="ignore"), pytest.raises(SolveError, match="diverges at these values"):
+        noise_response.noise_response(criterion, x, 0)
