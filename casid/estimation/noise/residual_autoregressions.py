@@ -242,7 +242,7 @@ def _restricted_likelihood(models: Sequence[Autoregression], records: Sequence[W
     seen = size > 0
     # The last column of the triangle is the residual: what no sensitivity explains of it stands
     # below those.
-    triangle = np.linalg.qr(whole[:, seen] / size[seen], mode="r")
+    triangle = np.asarray(np.linalg.qr(whole[:, seen] / size[seen], mode="r"))
     logs = np.log(np.maximum(np.abs(np.diag(triangle)[:-1]), TINY)) + np.log(size[seen][:-1])
     left = float(triangle[-1, -1] * size[-1])
     return value + float(np.sum(logs)) + 0.5 * left**2
