@@ -17,6 +17,7 @@ from casid.model.effects.channel_effects import (
     is_lagging,
     is_rate_limited,
     require_command,
+    require_first,
 )
 from casid.model.effects.effect import Effect, Sizes, known_while_null, switched_on
 from casid.model.effects.names import RATE, RATE_LIMIT
@@ -48,11 +49,7 @@ def actuator_lag(model: Model, channel: str | Sequence[str], longest: float) -> 
     channels = as_channels(channel)
     for name in channels:
         require_command(model, name, instead="sensor_lag")
-        if is_lagging(model, name):
-            raise ModelError(
-                f"{model.name}: the command {name} acts through a lag already; extend the model "
-                "before that one"
-            )
+        require_first(model, is_lagging(model, name), f"the command {name} acts through a lag")
     p = Parameter(f"tau_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest)
 
     def apply(new: Model, names: Sequence[str]) -> None:
@@ -113,11 +110,8 @@ def rate_limit(model: Model, channel: str, rate: float, *, most: float | None = 
         samples, or has a largest rate already.
     """
     require_command(model, channel, instead="no largest rate")
-    if is_rate_limited(model, channel):
-        raise ModelError(
-            f"{model.name}: the actuator of {channel} has a largest rate already; extend the model "
-            "before that one"
-        )
+    limited = is_rate_limited(model, channel)
+    require_first(model, limited, f"the actuator of {channel} has a largest rate")
     if model.acting_hold(channel) == "bandlimited":
         raise ModelError(
             f"{model.name}: the command {channel} is band-limited between its samples, and an "
@@ -170,11 +164,7 @@ def input_backlash(model: Model, channel: str, largest: float, *, least: float =
         If the input is not recorded, or acts through play already.
     """
     entry = _command(model, channel, "backlash")
-    if any(s.kind == "play_input" and s.channel == channel for s in model.stages):
-        raise ModelError(
-            f"{model.name}: the command {channel} acts through play already; extend the model "
-            "before that one"
-        )
+    require_first(model, _is_played(model, channel), f"the command {channel} acts through play")
     p = Parameter(f"gap_{channel}", entry.unit, 0.0, lower=0.0, upper=largest)
 
     def apply(new: Model, names: Sequence[str]) -> None:
@@ -223,6 +213,11 @@ def input_deadzone(model: Model, channel: str, largest: float, *, least: float =
     )
 
 
+def _is_played(model: Model, channel: str) -> bool:
+    """True if a command acts through play already."""
+    return any(s.kind == "play_input" and s.channel == channel for s in model.stages)
+
+
 def _command(model: Model, channel: str, what: str) -> Input:
     entry = model.inputs[channel]
     if entry.kind not in ("measured", "known"):
@@ -243,7 +238,6 @@ def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     free = [c for c in commands_of(model) if not is_lagging(model, c)]
     yield from (actuator_lag(model, c, longest) for c in (*free, *alike_commands(model, free)))
     eliminated = {m.output for m in model._measured}
-    played = {s.channel for s in model.stages if s.kind == "play_input"}
     for channel, entry in model.inputs.items():
         low, high = sizes.readings.get(channel, (0.0, 0.0))
         if entry.kind not in ("measured", "known") or channel in eliminated or high <= low:
@@ -260,7 +254,7 @@ def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             ACTUATORS.gap * (high - low),
             ACTUATORS.noise * sizes.noise.get(channel, 0.0),
         )
-        if channel not in played and least < widest:
+        if not _is_played(model, channel) and least < widest:
             yield input_backlash(model, channel, widest, least=least)
         comes_to_zero = max(low, -high, 0.0) <= ACTUATORS.zero * largest
         if comes_to_zero and least < widest:

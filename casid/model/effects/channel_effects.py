@@ -107,11 +107,7 @@ def dead_time(model: Model, channel: str | Sequence[str], longest: float) -> Eff
     channels = as_channels(channel)
     for name in channels:
         require_command(model, name, instead="time_delay")
-        if is_late(model, name):
-            raise ModelError(
-                f"{model.name}: the input {name} acts late already; extend the model before that "
-                "delay"
-            )
+        require_first(model, is_late(model, name), f"the input {name} acts late")
     p = Parameter(f"dead_time_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest)
 
     def apply(new: Model, names: Sequence[str]) -> None:
@@ -157,6 +153,18 @@ def require_command(model: Model, channel: str, *, instead: str) -> None:
             f"{model.name}: {channel} is no recorded command (it is {model.inputs[channel].kind}, "
             f"or was an output before an elimination); request {instead} of such a channel"
         )
+
+
+def require_first(model: Model, is_second: bool, what: str) -> None:
+    """Refuse an effect that the model has already, said in words, `what`.
+
+    Raises
+    ------
+    ModelError
+        If it `is_second`.
+    """
+    if is_second:
+        raise ModelError(f"{model.name}: {what} already; extend the model before that one")
 
 
 def dead_times_of(model: Model, sizes: Sizes) -> list[Effect]:

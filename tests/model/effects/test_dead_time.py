@@ -18,10 +18,9 @@ from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channel_effects import dead_time, hold, sensor_lag, time_delay
 from casid.model.effects.effect import Sizes
 from problems import pendulum
+from tests.support.driven_oscillator import TS, D, K, M, at
 
-TS = 0.02
 N = 600
-M, D, K = 2.0, 1.5, 50.0
 STEPS = np.repeat(np.random.default_rng(4).standard_normal(N // 12), 12)
 JAGGED = np.random.default_rng(5).standard_normal(N)
 HOLDS = ("zoh", "foh", "bandlimited")
@@ -46,10 +45,6 @@ def criterion_of(model: casid.Model, force=STEPS, y=None, substeps: int = 1) -> 
     record = casid.Record(columns, {"force": "N", "position": "m", "speed": "m/s"}, Ts=TS)
     e = casid.Experiment(record, {}, "r")
     return SimulationError(model, [e], weights=np.ones(2), substeps=substeps)
-
-
-def at(criterion: SimulationError, **values: float) -> np.ndarray:
-    return np.array([values.get(v.name, v.start) for v in criterion.variables])
 
 
 def outputs(model: casid.Model, force=STEPS, substeps: int = 1, **values: float) -> np.ndarray:
