@@ -10,17 +10,18 @@ from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
 from casid.model.declarations import Input, Parameter, Stage
 from casid.model.effects.alike_commands import alike_commands
-from casid.model.effects.channel_effects import (
+from casid.model.effects.effect import Effect, Sizes, known_while_null, switched_on
+from casid.model.effects.names import RATE, RATE_LIMIT
+from casid.model.effects.recorded_commands import (
     as_channels,
     carry,
     commands_of,
     is_lagging,
+    is_played,
     is_rate_limited,
     require_command,
     require_first,
 )
-from casid.model.effects.effect import Effect, Sizes, known_while_null, switched_on
-from casid.model.effects.names import RATE, RATE_LIMIT
 from casid.model.effects.search_ranges import ACTUATORS, RANGES
 from casid.model.model import Model
 from casid.model.units import unit_quotient
@@ -164,7 +165,7 @@ def input_backlash(model: Model, channel: str, largest: float, *, least: float =
         If the input is not recorded, or acts through play already.
     """
     entry = _command(model, channel, "backlash")
-    require_first(model, _is_played(model, channel), f"the command {channel} acts through play")
+    require_first(model, is_played(model, channel), f"the command {channel} acts through play")
     p = Parameter(f"gap_{channel}", entry.unit, 0.0, lower=0.0, upper=largest)
 
     def apply(new: Model, names: Sequence[str]) -> None:
@@ -213,11 +214,6 @@ def input_deadzone(model: Model, channel: str, largest: float, *, least: float =
     )
 
 
-def _is_played(model: Model, channel: str) -> bool:
-    """True if a command acts through play already."""
-    return any(s.kind == "play_input" and s.channel == channel for s in model.stages)
-
-
 def _command(model: Model, channel: str, what: str) -> Input:
     entry = model.inputs[channel]
     if entry.kind not in ("measured", "known"):
@@ -254,7 +250,7 @@ def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             ACTUATORS.gap * (high - low),
             ACTUATORS.noise * sizes.noise.get(channel, 0.0),
         )
-        if not _is_played(model, channel) and least < widest:
+        if not is_played(model, channel) and least < widest:
             yield input_backlash(model, channel, widest, least=least)
         comes_to_zero = max(low, -high, 0.0) <= ACTUATORS.zero * largest
         if comes_to_zero and least < widest:

@@ -21,7 +21,6 @@ from casid.model.effects.balance_effects import (
 from casid.model.effects.channel_effects import (
     channel_effects_of,
     dead_times_of,
-    is_moved,
     saturation,
     sensor_bias,
     time_delay,
@@ -58,6 +57,7 @@ from casid.model.effects.parameter_effects import (
 from casid.model.effects.place import Place
 from casid.model.effects.places import places_of
 from casid.model.effects.planes import planes_of
+from casid.model.effects.recorded_commands import is_moved
 from casid.model.effects.search_ranges import (
     CONTACT_RANGES,
     FRICTION_RANGES,

@@ -22,6 +22,17 @@ from casid.model.effects.names import (
     RECORDED_LATE,
 )
 from casid.model.effects.place import recorded_inputs
+from casid.model.effects.recorded_commands import (
+    as_channels,
+    carriers_of,
+    carry,
+    commands_of,
+    is_lagging,
+    is_late,
+    is_moved,
+    require_command,
+    require_first,
+)
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Model
 from casid.model.units import is_comparable, same_dimension, unit_quotient
@@ -129,99 +140,11 @@ def dead_time(model: Model, channel: str | Sequence[str], longest: float) -> Eff
     )
 
 
-def as_channels(channel: str | Sequence[str]) -> list[str]:
-    """One channel or several, as a list."""
-    return [channel] if isinstance(channel, str) else list(channel)
-
-
-def commands_of(model: Model) -> list[str]:
-    """Recorded inputs that no elimination made of an output."""
-    gone = {m.output for m in model._measured}
-    return [n for n in recorded_inputs(model) if n not in gone]
-
-
-def require_command(model: Model, channel: str, *, instead: str) -> None:
-    """Refuse an input that is no recorded command, with the effect to request `instead`.
-
-    Raises
-    ------
-    ModelError
-        If the input is not recorded, or stands in for an unknown one.
-    """
-    if channel not in commands_of(model):
-        raise ModelError(
-            f"{model.name}: {channel} is no recorded command (it is {model.inputs[channel].kind}, "
-            f"or was an output before an elimination); request {instead} of such a channel"
-        )
-
-
-def require_first(model: Model, is_second: bool, what: str) -> None:
-    """Refuse an effect that the model has already, said in words, `what`.
-
-    Raises
-    ------
-    ModelError
-        If it `is_second`.
-    """
-    if is_second:
-        raise ModelError(f"{model.name}: {what} already; extend the model before that one")
-
-
 def dead_times_of(model: Model, sizes: Sizes) -> list[Effect]:
     """Recorded inputs that may act late, each that is not moved in time yet, and those alike."""
     longest = max(RANGES.dead_time * (sizes.window[1] - sizes.window[0]), sizes.longest_delay)
     free = [n for n in commands_of(model) if not is_moved(model, n)]
     return [dead_time(model, n, longest) for n in (*free, *alike_commands(model, free))]
-
-
-def carry(model: Model, stage: Stage) -> None:
-    """Add a stage that prepares an input column, with the input that carries its tangent.
-
-    The carrier does between its samples what the channel does, so that the tangent is exact. An
-    input that acts late or lags is a line in each sample, with columns for its ends; a band-limited
-    one stays so.
-    """
-    entry = model.inputs[stage.channel]
-    changed = model.symbol(stage.channel)
-    for parameter, name in zip(stage.parameters, stage.carriers, strict=True):
-        slope = unit_quotient(entry.unit, model.parameters[parameter].unit, 1)
-        carrier = model.add_input(Input(name, slope, "generated", entry.hold, blends=entry.blends))
-        changed = changed + model.symbol(parameter) * carrier
-    model.substitute_symbol(stage.channel, changed)
-    model.stages = (*model.stages, stage)
-    is_line = any(s.makes_lines and s.channel == stage.channel for s in model.stages)
-    if is_line and model.acting_hold(stage.channel) != "bandlimited":
-        for name in (stage.channel, *_carriers(model, stage.channel)):
-            unit = model.inputs[name].unit
-            for end in Stage.line_of(name):
-                model.add_input(Input(end, unit, "generated", "zoh"))
-
-
-def is_lagging(model: Model, channel: str) -> bool:
-    """True if an input acts through an actuator's lag already."""
-    return any(s.kind == "lag_input" and s.channel == channel for s in model.stages)
-
-
-def is_rate_limited(model: Model, channel: str) -> bool:
-    """True if the actuator of an input has a largest rate already."""
-    return any(s.kind == "rate_input" and s.channel == channel for s in model.stages)
-
-
-def is_late(model: Model, channel: str) -> bool:
-    """True if an input acts through a dead time already."""
-    return any(s.kind == "late_input" and s.channel == channel for s in model.stages)
-
-
-def is_moved(model: Model, channel: str) -> bool:
-    """True if an input acts late, or its record is late: of both, only the difference shows."""
-    kinds = ("late_input", "delay_input")
-    return any(s.kind in kinds and s.channel == channel for s in model.stages)
-
-
-def _carriers(model: Model, channel: str) -> list[str]:
-    """Inputs that carry the tangents of what is done to an input's column."""
-    mine = [s for s in model.stages if s.is_of_input and s.channel == channel]
-    return list(dict.fromkeys(name for s in mine for name in s.carriers))
 
 
 def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
@@ -262,7 +185,7 @@ def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
 def scaled_input(model: Model, channel: str, gain: Any, *, beside: Any = 0.0) -> None:
     """Put gain (u + beside) in the place of an input u, and of what carries its tangents."""
     model.substitute_symbol(channel, gain * (model.symbol(channel) + beside))
-    for name in _carriers(model, channel):
+    for name in carriers_of(model, channel):
         model.substitute_symbol(name, gain * model.symbol(name))
 
 
@@ -359,7 +282,7 @@ def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
 
     def apply(new: Model, names: Sequence[str]) -> None:
         switched_on(new, names[0])
-        for name in (channel, *_carriers(new, channel)):
+        for name in (channel, *carriers_of(new, channel)):
             entry = new.inputs[name]
             new.inputs[name] = replace(entry, blends=(*entry.blends, Blend(names[0], toward)))
 
