@@ -18,6 +18,7 @@ from casid.estimation.estimate import RecordView
 from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.records.signals import Signals, signals_of, window_cuts
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 from casid.model.quantities import growth_text, percent_text
 
@@ -154,12 +155,13 @@ def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array
         y, x, _ = fit.criterion.simulate(fit.x, index, signals=d)
     held = split.held[index]
     if fit.criterion.parts(index) > 1 and held.any():
-        _, y[held], x[held] = _end_in_windows(fit, split.whole[index], int(np.argmax(held)))
+        end = end_in_windows(fit, split.whole[index], int(np.argmax(held)))
+        _, y[held], x[held] = _simulated(*end)
     return d, y, x
 
 
 @functools.lru_cache(maxsize=16)
-def _end_in_windows(fit: Fit, whole: Experiment, first: int) -> tuple[Signals, Array, Array]:
+def end_in_windows(fit: Fit, whole: Experiment, first: int) -> tuple[SimulationError, Array]:
     """A fitted record from sample `first` to its end, `in_windows`.
 
     Kept for the last fits, each of which needs it several times: for the whole record, for the end
@@ -169,15 +171,21 @@ def _end_in_windows(fit: Fit, whole: Experiment, first: int) -> tuple[Signals, A
     return in_windows(fit, tail, on_clock=True)
 
 
-def in_windows(fit: Fit, experiment: Experiment, *, on_clock: bool) -> tuple[Signals, Array, Array]:
-    """A record that was not fitted, simulated window by window as long as a segment of the fit.
+def in_windows(
+    fit: Fit, experiment: Experiment, *, on_clock: bool
+) -> tuple[SimulationError, Array]:
+    """A record that was not fitted, window by window as long as a segment of the fit.
 
     Each begins in a state estimated from the window alone. Over a longer time a simulation of an
     unstable model diverges from the record whatever the parameters are.
+
+    Returns
+    -------
+    Its criterion, of which initial states are the variables, and their estimates.
     """
     model, windowed = fit.criterion.model, replace(experiment, window=window_length(fit))
     nowhere = dict.fromkeys(model.states, np.nan)
-    return _simulated_apart(fit, windowed, on_clock=on_clock, near=nowhere)
+    return _states_apart(fit, windowed, on_clock=on_clock, near=nowhere)
 
 
 def window_length(fit: Fit) -> int:
@@ -217,18 +225,25 @@ def simulate_apart(
     near : of such an end the state that the simulation of the whole record has there. The search
         may begin at it, and what the model says of the state that records begin in says nothing.
     """
-    if _has_windows(fit):
-        return in_windows(fit, experiment, on_clock=on_clock)
-    return _simulated_apart(fit, experiment, on_clock=on_clock, near=near)
+    if has_windows(fit):
+        return _simulated(*in_windows(fit, experiment, on_clock=on_clock))
+    return _simulated(*_states_apart(fit, experiment, on_clock=on_clock, near=near))
 
 
-def _has_windows(fit: Fit) -> bool:
+def has_windows(fit: Fit) -> bool:
+    """True of a fit in segments or windows."""
     return any(fit.criterion.parts(e) > 1 for e in range(len(fit.criterion.data)))
 
 
-def _simulated_apart(
+def _simulated(criterion: SimulationError, point: Array) -> tuple[Signals, Array, Array]:
+    """The one record of a criterion: signals, outputs (N, ny), states (N, nx)."""
+    y, x, _ = criterion.simulate(point, 0)
+    return criterion.data[0], y, x
+
+
+def _states_apart(
     fit: Fit, experiment: Experiment, *, on_clock: bool, near: Mapping[str, float] | None
-) -> tuple[Signals, Array, Array]:
+) -> tuple[SimulationError, Array]:
     old = fit.criterion
     known = {n: fit.values[n] for n in old.free if n in fit.values}
     for n in old.own:
@@ -237,11 +252,9 @@ def _simulated_apart(
     model = old.model.with_known(**known)
     if near is not None:
         model, near = _begun_midway(model, near)
-    criterion, point = fit_initial_state(
+    return fit_initial_state(
         model, experiment, weights=old.weights, substeps=old.substeps, on_clock=on_clock, near=near
     )
-    y, x, _ = criterion.simulate(point, 0)
-    return criterion.data[0], y, x
 
 
 def _begun_midway(
@@ -305,8 +318,8 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
     for i, (e, mask) in enumerate(zip(split.whole, split.held, strict=True)):
         if anew and mask.any():
             first = int(np.argmax(mask))
-            if _has_windows(fit):  # each begins in a state of its own
-                d, y, _ = _end_in_windows(fit, e, first)
+            if has_windows(fit):  # each begins in a state of its own
+                d, y, _ = _simulated(*end_in_windows(fit, e, first))
             else:
                 there = whole_simulation(fit, split, i)[2][first]
                 near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
@@ -315,7 +328,7 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
             parts.append(np.where(d.used, d.errors(y), np.nan) * weights)
     rest = Split([], [], [], split.apart) if anew else split
     parts += [h.error * weights for h in validation(fit, rest)]
-    if _has_windows(fit):
+    if has_windows(fit):
         parts = [error_per_window(fit, error) for error in parts]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
 

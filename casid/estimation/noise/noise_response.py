@@ -272,6 +272,10 @@ def steps_along(
     # What a band-limited input does between its samples is taken as on a straight line here.
     b0, b1 = _on_lines(b0, b1, inside)
     a, b0, b1, c, dd = (np.ascontiguousarray(m.swapaxes(0, 1)) for m in (a, b0, b1, c, dd))
+    # What moved a state before does not reach the one in which the next window begins.
+    if criterion.is_cut(experiment):
+        before = criterion.starts_anew(experiment) - 1
+        a[before] = b0[before] = b1[before] = 0.0
     forced = places_of_forces(criterion.model)
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
     of = [e.inputs.index(n) for n in measured]

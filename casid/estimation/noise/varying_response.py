@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import Steps, may_vary, multiplied_inputs, steps_along
@@ -41,10 +41,11 @@ def with_varying_response(
 ) -> NoiseModel:
     """The noise at `x` with the innovations of a response that varies, where it is seen to.
 
-    The same as given of a model that is linear and constant, with delays and lags beside its
-    equations, and of inputs that are filled between their samples. Where the input of a product is
-    noisy, its average response may fit the residual less well than that of a force: noise of the
-    inputs alone, at the floors of their channels, is what such forces are compared with.
+    The same as given of a model that is linear and constant, but in windows, where whatever moves
+    the plant begins anew; with delays and lags beside its equations; and of inputs that are filled
+    between their samples. Where the input of a product is noisy, its average response may fit the
+    residual less well than that of a force: noise of the inputs alone, at the floors of their
+    channels, is what such forces are compared with.
 
     Parameters
     ----------
@@ -53,18 +54,18 @@ def with_varying_response(
     """
     records = range(len(criterion.data))
     moving = [n for n, sd in noise.source_sd.items() if sd > 0.0]
-    if not moving or criterion.model.stages or criterion.segments > 1 or not may_vary(criterion):
+    varies = may_vary(criterion) or any(criterion.is_cut(e) for e in records)
+    if not moving or criterion.model.stages or criterion.segments > 1 or not varies:
         return noise
-    for e, d in enumerate(criterion.data):
-        if d.filled or len(criterion.starts_anew(e)):
-            return noise
+    if any(d.filled for d in criterion.data):
+        return noise
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in records]
     recorded = [steps_along(criterion, x, e) for e in records]
     states = _tangents_of_states(criterion, x)
     found, least, path = noise, np.inf, recorded
     for alike in _alternatives(noise, criterion, x, known, residuals):
-        steps = _followed(alike, recorded, criterion, x, residuals)
+        steps = _followed(alike, recorded, criterion, x, residuals, states)
         filters = None if steps is None else filters_along(alike, steps)
         if steps is None or filters is None:
             continue
@@ -74,11 +75,65 @@ def with_varying_response(
             found, least, path = varying, misfit, steps
     if not found.varying:
         return noise
-    if not is_white(found, criterion.data, residuals):
-        found = with_likeliest_variances(found, path, criterion, residuals)
+    left = _less_states_of_windows(found, criterion, residuals, states)
+    if not is_white(found, criterion.data, left):
+        found = with_likeliest_variances(found, path, criterion, left)
         least = _misfit(found, criterion, residuals, states)
     average = _misfit(noise, criterion, residuals, states)
     return found if least < average - VARYING_RESPONSE.likelier else noise
+
+
+def along_record(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
+    """The noise for the records of another criterion; a response that varies is that at `x` there.
+
+    The average response where the filter diverges there.
+    """
+    alone = replace(noise, used=[d.used for d in criterion.data], varying=())
+    if not noise.varying:
+        return alone
+    steps = [steps_along(criterion, x, e) for e in range(len(criterion.data))]
+    return replace(alone, varying=filters_along(noise, steps) or ())
+
+
+def less_states(
+    noise: NoiseModel, residuals: Sequence[Array], states: Sequence[Array]
+) -> list[Array]:
+    """Residuals (N, ny) less the change by initial states that makes them likeliest.
+
+    Every window of a record begins in one of its own, fitted under another noise: what that leaves
+    where the windows begin is none of this noise.
+
+    Parameters
+    ----------
+    states : (N, ny, m) of each experiment, what initial states change.
+    """
+    out = []
+    for e, (residual, columns) in enumerate(zip(residuals, states, strict=True)):
+        stack = np.concatenate([residual[:, :, None], columns], axis=2)
+        if noise.used:
+            stack = np.where(noise.used[e][:, :, None], stack, 0.0)
+        with np.errstate(all="ignore"):
+            white = noise.whiten(stack * noise.weights[None, :, None], e)
+            white = white.reshape(residual.size, -1)
+            size = np.linalg.norm(white, axis=0)
+        if not np.isfinite(size).all():
+            out.append(residual)
+            continue
+        scale = np.maximum(size[1:], TINY)
+        change = np.linalg.lstsq(white[:, 1:] / scale, white[:, 0])[0] / scale
+        out.append(residual - columns @ change)
+    return out
+
+
+def _less_states_of_windows(
+    noise: NoiseModel,
+    criterion: SimulationError,
+    residuals: Sequence[Array],
+    states: Sequence[Array],
+) -> Sequence[Array]:
+    """`less_states` where records are cut; of a whole record the one state counts for nothing."""
+    is_cut = any(criterion.is_cut(e) for e in range(len(criterion.data)))
+    return less_states(noise, residuals, states) if is_cut else residuals
 
 
 def _followed(
@@ -87,6 +142,7 @@ def _followed(
     criterion: SimulationError,
     x: Array,
     residuals: Sequence[Array],
+    states: Sequence[Array],
 ) -> list[Steps] | None:
     """The steps along what noisy inputs are expected to have been, given the residuals.
 
@@ -98,6 +154,7 @@ def _followed(
     Parameters
     ----------
     recorded : the steps along the recorded inputs.
+    states : (N, ny, m) of each experiment, what initial states change.
 
     Returns
     -------
@@ -109,8 +166,9 @@ def _followed(
     filters = filters_along(noise, recorded, criterion.data)
     if filters is None:
         return None
-    out = []
-    for e, columns in enumerate(weighted(noise, criterion.data, residuals)):
+    along = replace(noise, varying=filters)
+    out, left = [], _less_states_of_windows(along, criterion, residuals, states)
+    for e, columns in enumerate(weighted(noise, criterion.data, left)):
         off = smoothed_sources(filters[e], recorded[e], noisy, noise.weights, columns)
         out.append(steps_along(criterion, x, e, off))
     return out
@@ -150,11 +208,13 @@ def _alternatives(
 ) -> Iterator[NoiseModel]:
     """Noise that may act through a varying response: as found, or that of inputs alone.
 
-    What is found by the average response is no better than that. Floors do not need one.
+    What is found by the average response is no better than that. Floors do not need one. What white
+    forces move in a window, from nothing to what the plant magnifies, has no average.
     """
     inputs = criterion.model.inputs
     measured = [n for n, u in inputs.items() if u.kind == "measured"]
-    if noise.spectra or any(noise.source_sd.get(n, 0.0) > 0.0 for n in measured):
+    is_cut = any(criterion.is_cut(e) for e in range(len(criterion.data)))
+    if is_cut or noise.spectra or any(noise.source_sd.get(n, 0.0) > 0.0 for n in measured):
         yield noise
     floors = input_noise_floor(criterion.data, list(inputs))
     held = {n: known.get(n, floors[n]) for n in measured}

@@ -21,15 +21,21 @@ from casid.errors import SolveError
 from casid.estimation.holdout import (
     Split,
     degrees_of_freedom,
+    end_in_windows,
+    error_per_window,
+    has_windows,
     held_out_error,
+    in_windows,
     simulate_apart,
     whole_simulation,
     why_no_better,
     why_worse,
 )
 from casid.estimation.noise.noise_model import NoiseModel
+from casid.estimation.noise.varying_response import along_record, less_states
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.records.signals import Signals
+from casid.estimation.simulation.simulation_error import SimulationError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +99,8 @@ def simulation_errors(
     SolveError
         If an initial state of what was held out cannot be fitted.
     """
+    if noise is not None and has_windows(fit):
+        return _errors_in_windows(fit, split, units, noise)
     noise = noise.averaged() if noise is not None else None  # the response of a path held out
     whole = _whole_errors(fit, split, units, noise)
     inside = [error[~held] for error, held in zip(whole, split.held, strict=True)]
@@ -105,6 +113,38 @@ def simulation_errors(
         again = held_out_error(fit, replace(split, apart=[]), anew=True)
         restarted = again / fit.criterion.weights * units
     return SimulationErrors(np.concatenate(inside), np.concatenate(ends), restarted)
+
+
+def _errors_in_windows(fit: Fit, split: Split, units: Array, noise: NoiseModel) -> SimulationErrors:
+    """Errors of an unstable model, whitened: every window in the state that the noise makes likely.
+
+    What a state that is fitted without the noise leaves where a window begins, the noise has not.
+    """
+    inside = []
+    for e, d in enumerate(fit.criterion.data):
+        residual = fit.criterion.simulated(fit.x, e).residual
+        white = noise.whiten((np.where(d.used, residual, 0.0) * units)[:, :, None], e)
+        inside.append(np.where(d.used, white[:, :, 0], np.nan))
+    ends = []
+    for whole, held in zip(split.whole, split.held, strict=True):
+        if held.any():
+            ends.append(end_in_windows(fit, whole, int(np.argmax(held))))
+    ends += [in_windows(fit, e, on_clock=False) for e in split.apart]
+    outside = [error_per_window(fit, _whitened_end(*end, noise)) for end in ends]
+    none = np.zeros((0, len(units)))
+    held = np.concatenate(outside) if outside else none
+    return SimulationErrors(np.concatenate(inside), held, none)
+
+
+def _whitened_end(criterion: SimulationError, x: Array, noise: NoiseModel) -> Array:
+    """(N, ny) the whitened error of a record of which the initial states are the variables."""
+    used, found = criterion.data[0].used, criterion.simulated(x, 0)
+    residual = np.where(used, found.residual, 0.0)
+    there = along_record(noise, criterion, x)
+    left = less_states(there, [residual], [np.where(used[:, :, None], found.jacobian, 0.0)])[0]
+    white = there.whiten((left * noise.weights)[:, :, None], 0)[:, :, 0]
+    white = np.where(np.isfinite(white), white, np.inf)  # a simulation that breaks down errs
+    return np.where(used, white, np.nan)
 
 
 def _whole_errors(
