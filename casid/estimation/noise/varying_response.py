@@ -53,11 +53,7 @@ def with_varying_response(
     residuals : (N, ny) an experiment, default those at `x`.
     """
     records = range(len(criterion.data))
-    moving = [n for n, sd in noise.source_sd.items() if sd > 0.0]
-    varies = may_vary(criterion) or any(criterion.is_cut(e) for e in records)
-    if not moving or criterion.model.stages or criterion.segments > 1 or not varies:
-        return noise
-    if any(d.filled for d in criterion.data):
+    if not _varies(noise, criterion):
         return noise
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in records]
@@ -81,6 +77,33 @@ def with_varying_response(
         least = _misfit(found, criterion, residuals, states)
     average = _misfit(noise, criterion, residuals, states)
     return found if least < average - VARYING_RESPONSE.likelier else noise
+
+
+def followed_path(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel | None:
+    """The noise of forces with spectra along the path at `x`, at the variances likeliest there.
+
+    None where the response does not vary, or a filter along the path diverges.
+    """
+    if not noise.spectra or not _varies(noise, criterion):
+        return None
+    residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
+    steps = [steps_along(criterion, x, e) for e in range(len(criterion.data))]
+    filters = filters_along(noise, steps)
+    if filters is None:
+        return None
+    along = replace(noise, varying=filters)
+    states = _tangents_of_states(criterion, x)
+    left = _less_states_of_windows(along, criterion, residuals, states)
+    return with_likeliest_variances(along, steps, criterion, left)
+
+
+def _varies(noise: NoiseModel, criterion: SimulationError) -> bool:
+    """Whether what noise moves may vary along a record that a filter can follow."""
+    is_cut = any(criterion.is_cut(e) for e in range(len(criterion.data)))
+    is_moved = any(sd > 0.0 for sd in noise.source_sd.values())
+    is_followed = criterion.segments == 1 and not criterion.model.stages
+    is_followed = is_followed and not any(d.filled for d in criterion.data)
+    return is_moved and is_followed and (is_cut or may_vary(criterion))
 
 
 def along_record(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:

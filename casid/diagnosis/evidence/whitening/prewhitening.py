@@ -18,6 +18,7 @@ from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.scores.score_tests import step_without_bias
 from casid.diagnosis.evidence.scores.window_states import left_by_states, states_of_windows
 from casid.diagnosis.evidence.whitening.fit_points import is_at_bound, moved, use_samples_of
+from casid.diagnosis.evidence.whitening.white_floors import not_below
 from casid.diagnosis.solvers import NEAR
 from casid.diagnosis.thresholds import PREWHITENING, RESTARTS
 from casid.errors import CasidError
@@ -29,11 +30,10 @@ from casid.estimation.errors_in_variables.total_least_squares import total_least
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.input_noise_floor import input_noise_floor
-from casid.estimation.noise.noise_floor import white_floor
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.thresholds import REMOVAL
+from casid.estimation.noise.thresholds import REMOVAL, VARYING_RESPONSE
 from casid.estimation.noise.variances import error_over_noise, estimate_noise
-from casid.estimation.noise.varying_response import with_varying_response
+from casid.estimation.noise.varying_response import followed_path, with_varying_response
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.initial_state import with_states_anew
 from casid.estimation.simulation.input_noise.input_noise import input_noise_sd
@@ -212,8 +212,10 @@ class Weighing:
         not show where they differ in the slowest few periods of a record alone. A model that errs
         by many times the noise may have been led astray by least squares, with a loop that follows
         the disturbance above all: it is begun where all its parameters are declared to start, too.
+        Where the response varies along the record, parameters by an average one are biased.
         """
-        yield from self._shapes(found)
+        yield from (shapes := [*self._shapes(found)])
+        yield from self._along_path(shapes[-1])
         c, x = found.criterion, found.fit.x
         declared, at_bounds = x.copy(), x.copy()
         for i, v in enumerate(c.variables):
@@ -233,6 +235,24 @@ class Weighing:
         yield found
         if any(s.damping is not None for s in found.full.spectra.values()):
             yield self.estimated(found.fit, is_simple=True)
+
+    def _along_path(self, found: Weighted) -> Iterator[Weighted]:
+        """The same fitted under its forces along the path, where that is likelier by far.
+
+        What is not white under it shows in spectra of the average response as forces that are none.
+        """
+        at, before = found, _at_point(self._whitened(found.model, found))
+        with contextlib.suppress(CasidError):
+            for _ in range(PREWHITENING.rounds):
+                if (noise := followed_path(at.full, at.criterion, at.fit.x)) is None:
+                    return
+                criterion = self.criterion(at.model, noise, at.fit.values, at.criterion)
+                fit = self.minimum(criterion)
+                value = _at_point(replace(at, fit=fit, noise=noise))
+                if not value < before - VARYING_RESPONSE.likelier:
+                    return
+                at, before = self.estimated(fit, is_simple=True), value
+            yield at
 
     def likeliest_near(
         self, model: Model, at: Weighted, near: Mapping[str, DisturbanceSpectrum] | None = None
@@ -478,22 +498,3 @@ def _at_point(at: Weighted, counted: SimulationError | None = None) -> float:
             value += 0.5 * sum(int(mask.sum()) for mask in left_out)
     logs = sum(noise.log_determinant(e, d.N) for e, d in enumerate(data))
     return value + 0.5 * logs
-
-
-def not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
-    """The noise with a white floor: the quietest part of the residual, small against the misfit.
-
-    A force that an output feels at once (an accelerometer) explains its sensor's noise as well as
-    a sensor does. And where sensors are all but free of noise, whitening would give the word to
-    frequencies at which hardly anything is left, and misfit of another kind, beside what is to be
-    named.
-    """
-    parts = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
-    left = np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
-    used = [d.used for d in criterion.data]
-    quiet = [
-        white_floor([p[u[:, i], i] for p, u in zip(parts, used, strict=True)])
-        for i in range(len(left))
-    ]
-    floor = np.maximum(quiet, PREWHITENING.white_share * left)
-    return replace(noise, output_sd=np.maximum(noise.output_sd, floor))
