@@ -47,7 +47,7 @@ def example(duration: float) -> tuple[Any, Any]:
 
     import casid
     from casid.estimation.simulation.integration.simulator import Simulator
-    from casid.model.effects.balance_effects import quadratic_damping
+    from casid.model.effects.balances.balance_effects import quadratic_damping
 
     m = casid.Model("mass on a spring")
     x, v = m.state("x", "m"), m.state("v", "m/s")

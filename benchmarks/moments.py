@@ -74,7 +74,7 @@ def through_ipopt(signals: dict[str, np.ndarray]) -> tuple[Callable[[], Any], Ca
 
     from casid.estimation.cross_moments.moments import moments
     from casid.estimation.nlp.nlp import Nlp
-    from casid.linear.lagged_columns import Column, lagged
+    from casid.linear.sampled.lagged_columns import Column, lagged
 
     columns = (*lagged("y", range(1, 3), -1.0), Column("u", (("u", 0, 1.0), ("u", 2, -1.0))))
     all_columns = (*columns, *lagged("y", range(1)))

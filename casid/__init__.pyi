@@ -71,14 +71,20 @@ from .identification.moment_estimators import (
     multistage,
 )
 from .identification.profile_interval import profile
-from .linear.affine_hull import affine_hull
-from .linear.closed_loop import closed_loop_view
-from .linear.discretisation_bias import bias_table
+from .linear.hulls.affine_hull import affine_hull
 from .linear.linear_model import linearise
+from .linear.loops.closed_loop import closed_loop_view
+from .linear.sampled.discretisation_bias import bias_table
 from .model.clock_signals import Always, RampOver, StepAt, TimeSince
 from .model.declarations import Parameter
-from .model.effects.actuator_effects import actuator_lag, input_backlash, rate_limit
-from .model.effects.channel_effects import dead_time, hold, saturation, sensor_lag, time_delay
+from .model.effects.channels.actuator_effects import actuator_lag, input_backlash, rate_limit
+from .model.effects.channels.channel_effects import (
+    dead_time,
+    hold,
+    saturation,
+    sensor_lag,
+    time_delay,
+)
 from .model.effects.effect import Effect
 from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
 from .model.model import Model

@@ -60,7 +60,7 @@ def statements(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def module(path: Path) -> str:
-    """`casid.linear.kalman` for its file, `casid.linear` for the package itself."""
+    """`casid.linear.filtering.kalman` for its file, `casid.linear` for the package itself."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 

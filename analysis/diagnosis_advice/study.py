@@ -42,13 +42,13 @@ from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     cubic_stiffness,
     extra_input,
     offset,
     quadratic_damping,
 )
-from casid.model.effects.channel_effects import sensor_bias, time_delay
+from casid.model.effects.channels.channel_effects import sensor_bias, time_delay
 from casid.model.effects.effect import Effect, Spread
 from casid.model.effects.parameter_effects import parameter_jump, scheduled_parameter
 from problems import pendulum

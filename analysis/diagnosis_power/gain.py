@@ -18,10 +18,10 @@ from casid.data.experiment import Experiment
 from casid.estimation.holdout import held_out_error, split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.balances.periodic import periodic_disturbance
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Effect, Sizes, Spread
 from casid.model.effects.parameter_effects import parameter_jump
-from casid.model.effects.periodic import periodic_disturbance
 
 Row = dict[str, Any]
 

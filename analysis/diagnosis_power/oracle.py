@@ -20,9 +20,9 @@ from analysis.diagnosis_power.cases import Hidden
 from analysis.diagnosis_power.energy import FITTED, OF_SAMPLES, fit_with_true_noise
 from analysis.diagnosis_power.gain import signals_of
 from casid.estimation.simulation.minimization import Fit, widened
+from casid.model.effects.balances.periodic import periodic_disturbance
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Effect
-from casid.model.effects.periodic import periodic_disturbance
 
 Row = dict[str, Any]
 WITHOUT = (*OF_SAMPLES, "unknown")

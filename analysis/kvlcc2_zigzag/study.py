@@ -37,7 +37,7 @@ from casid.estimation.measured_motion import Butterworth
 from casid.estimation.moments.instruments.exogeneity import reference_depends_on
 from casid.estimation.prediction_error.coordinated_turn import Track, rounding_error
 from casid.model.declarations import Input
-from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping
+from casid.model.effects.balances.balance_effects import cubic_stiffness, quadratic_damping
 from problems import kvlcc2_zigzag
 from problems.kvlcc2_zigzag import OMEGA_0
 

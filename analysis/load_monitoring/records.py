@@ -29,8 +29,8 @@ from casid.estimation.moments.stages.prior import Prior
 from casid.estimation.moments.stages.propagation import propagate
 from casid.estimation.moments.stages.stage import Stage
 from casid.estimation.prediction_error.polynomial.estimation import oe
-from casid.linear.difference_equation import difference_equation
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.difference_equation import difference_equation
+from casid.linear.sampled.lagged_columns import Column
 from problems import ship
 from problems.ship_4dof import LOAD_CASES, Load, random_steps, simulate, zigzag
 from problems.ship_simulator import sensors as ship_sensors

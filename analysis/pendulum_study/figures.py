@@ -10,7 +10,7 @@ import numpy as np
 from analysis.common.figures import Chart
 from analysis.pendulum_study.runs import THETA, Bench
 from casid.arrays import Array
-from casid.linear.difference_equation import difference_equation
+from casid.linear.sampled.difference_equation import difference_equation
 from problems.pendulum import TABLE_7_2, indirect_model
 
 LABELS = {

@@ -32,8 +32,8 @@ from analysis.pendulum_study.runs import Bench, Estimator, Floor, Profiles, Runs
 from analysis.pendulum_study.statistics import HEADER, Line, lines, load_by_formula, shares
 from casid.arrays import Array
 from casid.campaigns.campaign import Campaign, campaign
-from casid.linear.discretisation_bias import bias_table
 from casid.linear.linear_model import linearise
+from casid.linear.sampled.discretisation_bias import bias_table
 from problems.pendulum import (
     CART_LAG,
     TABLE_7_2,

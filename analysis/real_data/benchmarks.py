@@ -17,13 +17,13 @@ import casid
 from analysis.common.output import Output
 from analysis.common.targets import Target, at_most, equal, near
 from analysis.real_data.judgement import causes, few_causes, rms_after
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     quadratic_damping,
     quadratic_stiffness,
 )
-from casid.model.effects.flow_laws import power_law
+from casid.model.effects.balances.flow_laws import power_law
 from problems import cascaded_tanks, multiarm_pendulum, silverbox
 
 ONCE = casid.FitSettings(starts=1)

@@ -27,14 +27,14 @@ from analysis.real_data.judgement import causes, few_causes, named, rms_by_recor
 from casid.data.preparation import decimate
 from casid.estimation.equation_error import equation_error
 from casid.estimation.measured_motion import Butterworth
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_damping,
     cubic_stiffness,
     offset,
     quadratic_damping,
 )
-from casid.model.effects.unnamed_effects import unnamed_effects
+from casid.model.effects.balances.unnamed_effects import unnamed_effects
 from problems import emps, roll_decay
 
 ONCE = casid.FitSettings(starts=1)

@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 
 from casid.arrays import Array
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 from problems.ship import LOAD_CASES, TABLE_8_2
 
 Integrator = Literal["trapezoidal", "zoh", "foh"]

@@ -39,7 +39,7 @@ from casid.estimation.moments.equations.moment_equations import MomentEquations
 from casid.estimation.moments.equations.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver
-from casid.linear.difference_equation import DifferenceEquation, difference_equation
+from casid.linear.sampled.difference_equation import DifferenceEquation, difference_equation
 from problems.ship import LOAD_CASES, NINE, TABLE_8_2, indirect_model
 
 BOUNDS = {

@@ -42,9 +42,9 @@ from analysis.ship_signals.model import (
     ship_model,
     values_of,
 )
-from casid.linear.closed_loop import ClosedLoopView, closed_loop_view
 from casid.linear.linear_model import linearise
-from casid.linear.loop_consistency import verdicts
+from casid.linear.loops.closed_loop import ClosedLoopView, closed_loop_view
+from casid.linear.loops.loop_consistency import verdicts
 from problems.ship import TABLE_8_2, indirect_model
 from problems.ship_4dof import LOAD_CASES, linearised, tangent
 

@@ -45,7 +45,7 @@ from casid.experiment_design.verification import (
     fewest_to_diagnose,
     verified,
 )
-from casid.model.effects.channel_effects import COURSES
+from casid.model.effects.channels.channel_effects import COURSES
 from casid.model.units import from_si
 from casid.versions import versions
 

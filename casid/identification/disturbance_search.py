@@ -43,7 +43,7 @@ from casid.identification.grey_box import (
 )
 from casid.identification.task import Task
 from casid.identification.unstable import fit_in_segments, unstable_in_windows
-from casid.linear.noisy_model import White
+from casid.linear.filtering.noisy_model import White
 from casid.model.model import Model
 from casid.time_limit import require_time, seconds_left
 

@@ -23,8 +23,8 @@ from casid.estimation.moments.stages.prior import Prior
 from casid.estimation.moments.stages.stage import Stage
 from casid.estimation.moments.stages.stage_estimate import moment_estimate
 from casid.estimation.moments.stages.staged_estimation import with_prior
-from casid.linear.difference_equation import difference_equation
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.difference_equation import difference_equation
+from casid.linear.sampled.lagged_columns import Column
 from casid.model.model import Model
 
 

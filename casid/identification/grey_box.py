@@ -33,8 +33,8 @@ from casid.estimation.prediction_error.extended_likelihood import (
 from casid.estimation.prediction_error.likelihood import CriterionOptions, PredictionError
 from casid.estimation.simulation.thresholds import STEPS
 from casid.identifiability.requirement import require_identifiable
-from casid.linear.kalman import Predictor
-from casid.linear.noisy_model import White
+from casid.linear.filtering.kalman import Predictor
+from casid.linear.filtering.noisy_model import White
 from casid.model.model import Model
 from casid.model.units import unit_quotient
 from casid.presentation import Presented

@@ -19,7 +19,7 @@ from casid.estimation.cross_moments.windowed_moments import FadingSums, SlidingS
 from casid.estimation.moments.change_detection import Change, ChangeDetector
 from casid.identification.monitor_status import Alarm, Derived, Interval, MonitorSettings, Status
 from casid.identification.window_estimator import MonitoredParameters, WindowEstimator
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 from casid.model.model import Model
 
 

@@ -29,8 +29,8 @@ from casid.arrays import TINY, Array
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.cross_moments.gram import Moments
 from casid.estimation.moments.stages.prior import Prior
-from casid.linear.difference_equation import difference_equation
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.difference_equation import difference_equation
+from casid.linear.sampled.lagged_columns import Column
 from casid.model.model import Model
 from casid.model.units import difference_to_si
 

@@ -29,7 +29,7 @@ from casid.estimation.prediction_error.input_models import (
 from casid.estimation.simulation.fit import FitSettings
 from casid.identification.grey_box import minimize_prediction_error
 from casid.identification.identify import identify
-from casid.linear.noisy_model import White, noise_sources
+from casid.linear.filtering.noisy_model import White, noise_sources
 from casid.model.model import Model
 from casid.unknown_inputs.observers.input_estimate import noise_guess
 from casid.unknown_inputs.option_comparison import OptionRow, UnknownInputComparison

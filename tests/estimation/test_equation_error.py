@@ -10,8 +10,8 @@ from casid.data.record import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.equation_error import equation_error
 from casid.estimation.measured_motion import Butterworth
-from casid.model.effects.balance_effects import coulomb_friction, offset, quadratic_damping
-from casid.model.effects.channel_effects import hold, time_delay
+from casid.model.effects.balances.balance_effects import coulomb_friction, offset, quadratic_damping
+from casid.model.effects.channels.channel_effects import hold, time_delay
 from casid.model.model import Model
 from problems import emps, pendulum, roll_decay
 from tests.support.shared import shared

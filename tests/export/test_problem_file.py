@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose
 
 import casid
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.model.effects.balance_effects import quadratic_damping
-from casid.model.effects.channel_effects import sensor_bias, sensor_scale
-from casid.model.effects.missing_parts import missing_mode
+from casid.model.effects.balances.balance_effects import quadratic_damping
+from casid.model.effects.balances.missing_parts import missing_mode
+from casid.model.effects.balances.periodic import periodic_disturbance
+from casid.model.effects.channels.channel_effects import sensor_bias, sensor_scale
 from casid.model.effects.parameter_effects import parameter_drift, parameter_jump
-from casid.model.effects.periodic import periodic_disturbance
 from problems import emps, pendulum, roll_decay
 from tests.support.fitted_models import (
     assert_same,

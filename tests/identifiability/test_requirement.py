@@ -13,7 +13,7 @@ from casid.identifiability import requirement
 from casid.identifiability.combinations import family
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.grey_box import minimize_prediction_error
-from casid.linear.noisy_model import White
+from casid.linear.filtering.noisy_model import White
 from problems import pendulum, ship
 
 TS = 0.1

@@ -23,7 +23,7 @@ from casid.estimation.simulation.fit import FitSettings
 from casid.export.problem_file import problem_text
 from casid.identification.disturbed import fed_back
 from casid.identification.identify import identify
-from casid.linear.noisy_model import White
+from casid.linear.filtering.noisy_model import White
 
 K, D, SIZE, PEAK, WIDTH, SENSOR = 4.0, 0.4, 0.5, 1.2, 0.1, 0.01
 TRUTH = {

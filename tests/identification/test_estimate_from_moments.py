@@ -11,7 +11,7 @@ from casid.estimation.cross_moments.moments import Moments, moments, of_record
 from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.identification.estimate_from_moments import estimate_from_moments
 from casid.identification.moment_estimators import least_squares
-from casid.linear.lagged_columns import lagged
+from casid.linear.sampled.lagged_columns import lagged
 from problems.pendulum import TABLE_7_2, indirect_model
 
 INSTRUMENTS = lagged("ref", range(0, 60, 4))

@@ -17,9 +17,9 @@ from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.grey_box import Prediction, minimize_prediction_error
-from casid.linear.kalman import time_varying
-from casid.linear.noisy_model import NoisyModel, White
-from casid.model.effects.channel_effects import hold
+from casid.linear.filtering.kalman import time_varying
+from casid.linear.filtering.noisy_model import NoisyModel, White
+from casid.model.effects.channels.channel_effects import hold
 from problems.pendulum import direct_model
 from tests.support.linear_pendulum import TRUTH, simulate
 

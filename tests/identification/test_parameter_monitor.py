@@ -25,7 +25,7 @@ from casid.estimation.moments.stages.prior import Prior
 from casid.identification.monitor_status import Derived, MonitorSettings
 from casid.identification.parameter_monitor import Monitor
 from casid.identification.window_estimator import MonitoredParameters
-from casid.linear.difference_equation import difference_equation
+from casid.linear.sampled.difference_equation import difference_equation
 
 # -- windows ---------------------------------------------------------------------------------------
 

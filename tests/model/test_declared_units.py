@@ -10,8 +10,8 @@ from casid.estimation.noise.noise_response import shown_force
 from casid.model.declarations import Parameter
 from casid.model.declared_units import unit_in_balance
 from casid.model.dimensions import check_units
-from casid.model.effects.balance_effects import coulomb_friction, deadzone, offset
-from casid.model.effects.channel_effects import sensor_bias
+from casid.model.effects.balances.balance_effects import coulomb_friction, deadzone, offset
+from casid.model.effects.channels.channel_effects import sensor_bias
 from casid.model.effects.user_effects import balance_effect, user_effects
 from casid.model.model import Model
 from casid.model.units import same_dimension

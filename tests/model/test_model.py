@@ -8,7 +8,7 @@ import pytest
 
 from casid.errors import ModelError
 from casid.model.declarations import Parameter
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     offset,

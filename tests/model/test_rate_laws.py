@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
-from casid.model.effects.balance_effects import offset
+from casid.model.effects.balances.balance_effects import offset
 from casid.model.rate_laws import with_balances
 from casid.model.units import same_dimension
 

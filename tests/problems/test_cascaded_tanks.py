@@ -13,7 +13,7 @@ import pytest
 import casid
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.dimensions import check_units
-from casid.model.effects.flow_laws import power_law
+from casid.model.effects.balances.flow_laws import power_law
 from problems import cascaded_tanks as tanks
 from tests.support.shared import ROOT, shared
 

@@ -15,7 +15,7 @@ from scipy.special import ellipk
 import casid
 from casid.errors import IdentifiabilityError
 from casid.model.dimensions import check_units
-from casid.model.effects.balance_effects import coulomb_friction, quadratic_damping
+from casid.model.effects.balances.balance_effects import coulomb_friction, quadratic_damping
 from problems import multiarm_pendulum as swing
 from tests.support.shared import ROOT, shared
 

@@ -11,7 +11,7 @@ import pytest
 
 import casid
 from casid.model.dimensions import check_units
-from casid.model.effects.balance_effects import cubic_stiffness, quadratic_stiffness
+from casid.model.effects.balances.balance_effects import cubic_stiffness, quadratic_stiffness
 from problems import silverbox
 from tests.support.shared import ROOT, shared
 

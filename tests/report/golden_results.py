@@ -35,8 +35,8 @@ from casid.identifiability.equations.system import System
 from casid.identifiability.procedure import assess_identifiability
 from casid.identifiability.remedies.sensor_subsets import sensor_subsets
 from casid.identifiability.symbolic.observability_matrix import observability_matrix
-from casid.linear.closed_loop import ClosedLoopView, closed_loop_view
 from casid.linear.linear_model import linearise
+from casid.linear.loops.closed_loop import ClosedLoopView, closed_loop_view
 from casid.model.model import Model
 from casid.unknown_inputs.limits.comparison import Comparison
 from casid.unknown_inputs.limits.remedies import compare_remedies

@@ -13,7 +13,7 @@ import pytest
 
 import casid
 from casid.estimation.fitted.equations import equations_of
-from casid.model.effects.balance_effects import quadratic_damping
+from casid.model.effects.balances.balance_effects import quadratic_damping
 from casid.presentation import present
 from casid.report.document import Document, Equations
 from casid.report.html.notebook import notebook_html

@@ -13,13 +13,13 @@ from casid.data.problem import Problem
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.fitted.parts import AddedCause, Channels, FittedRecord, SimulationSettings
 from casid.estimation.simulation.integration.simulator import Simulator
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     offset,
     quadratic_damping,
 )
-from casid.model.effects.channel_effects import time_delay
+from casid.model.effects.channels.channel_effects import time_delay
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
 from problems.emps import problem as emps

@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 import casid
 from casid.errors import DataError, ModelError
 from casid.estimation.prediction_error.input_models import as_known, as_random_walk
+from casid.linear.filtering.noisy_model import White
 from casid.linear.linear_model import linearise
-from casid.linear.noisy_model import White
 from casid.unknown_inputs.option_comparison import OptionRow, UnknownInputComparison
 from casid.unknown_inputs.options import (
     AS_EXACT,

@@ -58,9 +58,9 @@ from casid.diagnosis.thresholds import BUDGET, COMPARISON, RESTARTS, SHORTLIST
 from casid.errors import CasidError, ModelError, OutOfTimeError, SolveError
 from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.balances.missing_parts import mode_frequencies, modes_at
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Effect, extend_all
-from casid.model.effects.missing_parts import mode_frequencies, modes_at
 from casid.model.effects.user_effects import UserEffect, user_effects
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model

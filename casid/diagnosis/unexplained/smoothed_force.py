@@ -22,7 +22,7 @@ from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.thresholds import SMOOTHING
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.linear.extended_smoother import backward_pass
+from casid.linear.filtering.extended_smoother import backward_pass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.findings import Findings
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.fitted.parts import AddedCause, fingerprint
-from casid.model.effects.channel_effects import sensor_scale
+from casid.model.effects.channels.channel_effects import sensor_scale
 
 
 def extended_model(

@@ -14,7 +14,7 @@ from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
-from casid.model.effects.channel_effects import COURSES
+from casid.model.effects.channels.channel_effects import COURSES
 from casid.model.effects.effect import OF_SAMPLES, Effect
 from casid.model.effects.names import (
     BESIDE_ITS_ZERO,

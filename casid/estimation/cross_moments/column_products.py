@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casid.arrays import Array
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 
 BLOCK = 16_384  # samples a dot product: two channels stay in the cache
 

@@ -14,7 +14,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import DataError
 from casid.estimation.cross_moments.lag_products import fast_two_sum, two_sum
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 from casid.whole_files import replacing
 
 CONSTANT = "1"  # the channel that is 1 at every sample, for offsets

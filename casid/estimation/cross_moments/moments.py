@@ -18,7 +18,7 @@ from casid.arrays import Array
 from casid.errors import DataError
 from casid.estimation.cross_moments.gram import CONSTANT, Moments, checked_channels, checked_lags
 from casid.estimation.cross_moments.lag_products import BLOCK, Core, Window, short_stretch, two_sum
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 from casid.linear.stability import largest_root
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from casid.arrays import Array
 from casid.errors import DataError
 from casid.estimation.cross_moments.gram import Moments, checked_channels, checked_lags
 from casid.estimation.cross_moments.moments import moments
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 from casid.linear.stability import largest_root
 
 

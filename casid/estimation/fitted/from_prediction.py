@@ -19,7 +19,7 @@ from casid.estimation.fitted.parts import (
 )
 from casid.estimation.prediction_error.extended_likelihood import ExtendedPredictionError
 from casid.estimation.prediction_error.likelihood import PredictionError
-from casid.linear.noisy_model import White
+from casid.linear.filtering.noisy_model import White
 
 STEP = 0.1
 """Largest Runge-Kutta step over the fastest mode: the error, (w h)^4 / 120, is below 1e-6."""

@@ -20,7 +20,7 @@ from casid.estimation.fitted.parts import NoiseModel
 from casid.estimation.prediction_error.disturbances import rest_of
 from casid.estimation.prediction_error.extended_likelihood import ExtendedPredictionError
 from casid.estimation.prediction_error.likelihood import PredictionError
-from casid.linear.kalman import steady_state, time_varying
+from casid.linear.filtering.kalman import steady_state, time_varying
 from casid.model.model import Model
 
 NEWTON_STEPS = 8

@@ -16,7 +16,7 @@ from casid.model.effects.names import effect_words
 from casid.model.model import Model
 
 if TYPE_CHECKING:
-    from casid.linear.noisy_model import White
+    from casid.linear.filtering.noisy_model import White
 
 COMPARED = 100
 """Samples at the start of a record that it is known again by."""

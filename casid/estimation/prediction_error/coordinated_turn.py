@@ -25,7 +25,12 @@ from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
-from casid.linear.extended_smoother import ExtendedSmoother, Levels, Smoothed, StochasticModel
+from casid.linear.filtering.extended_smoother import (
+    ExtendedSmoother,
+    Levels,
+    Smoothed,
+    StochasticModel,
+)
 
 OUTPUTS = {"x": "m", "y": "m", "psi": "rad"}
 """What is measured, in the earth's axes: x north, y east, psi from x to y, or any other pair."""

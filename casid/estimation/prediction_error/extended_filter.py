@@ -28,7 +28,7 @@ from casid.estimation.simulation.integration.simulator import (
     rk4_step,
 )
 from casid.estimation.simulation.integration.stepping import Step, Stepping, StepSymbols
-from casid.linear.noisy_model import NoisePlaces
+from casid.linear.filtering.noisy_model import NoisePlaces
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
 

@@ -26,7 +26,7 @@ from casid.estimation.prediction_error.unknown_noise import NoisyUnknowns
 from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.grouping import Grouped
-from casid.linear.noisy_model import NoisePlaces, White
+from casid.linear.filtering.noisy_model import NoisePlaces, White
 from casid.model.model import Model
 
 

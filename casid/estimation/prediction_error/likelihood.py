@@ -30,7 +30,7 @@ from casid.estimation.prediction_error.unknown_noise import NoisyUnknowns
 from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.grouping import Grouped
-from casid.linear.kalman import (
+from casid.linear.filtering.kalman import (
     Predictor,
     covariance_scale,
     gain_tangent,
@@ -38,9 +38,9 @@ from casid.linear.kalman import (
     steady_state,
     step,
 )
+from casid.linear.filtering.noisy_model import NoisyModel, Sampled, White, noise_sources
+from casid.linear.filtering.recursion import recursion, recursion_time_last
 from casid.linear.linear_model import notes_about_rest
-from casid.linear.noisy_model import NoisyModel, Sampled, White, noise_sources
-from casid.linear.recursion import recursion, recursion_time_last
 from casid.model.model import Model
 
 

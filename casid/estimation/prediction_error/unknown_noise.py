@@ -11,7 +11,7 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.unknowns import Unknowns
-from casid.linear.noisy_model import NoisePlaces
+from casid.linear.filtering.noisy_model import NoisePlaces
 from casid.model.model import Model
 
 

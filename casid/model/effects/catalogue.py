@@ -6,8 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from casid.model.effects.actuator_effects import actuator_effects_of
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_damping,
     cubic_stiffness,
@@ -18,17 +17,8 @@ from casid.model.effects.balance_effects import (
     quadratic_damping,
     quadratic_stiffness,
 )
-from casid.model.effects.channel_effects import (
-    channel_effects_of,
-    dead_times_of,
-    saturation,
-    sensor_bias,
-    time_delay,
-)
-from casid.model.effects.clock_effects import clock_effects_of
-from casid.model.effects.contact_effects import Side, backlash, end_stop
-from casid.model.effects.effect import Effect, Motion, Sizes
-from casid.model.effects.flow_laws import (
+from casid.model.effects.balances.contact_effects import Side, backlash, end_stop
+from casid.model.effects.balances.flow_laws import (
     coefficients_of_flows,
     flow_law,
     is_never_negative,
@@ -38,13 +28,34 @@ from casid.model.effects.flow_laws import (
     saturating_law,
     states_with_one_law,
 )
-from casid.model.effects.friction_effects import (
+from casid.model.effects.balances.friction_effects import (
     asymmetric_coulomb,
     asymmetric_damping,
     hysteresis,
     stribeck_friction,
 )
-from casid.model.effects.missing_parts import missing_parts_of
+from casid.model.effects.balances.missing_parts import missing_parts_of
+from casid.model.effects.balances.unnamed_effects import (
+    linear_loss,
+    linear_restoring_force,
+    missing_links,
+    saturating_force,
+    unnamed_effects,
+    uptakes_of,
+    vanishes_with,
+)
+from casid.model.effects.channels.actuator_effects import actuator_effects_of
+from casid.model.effects.channels.channel_effects import (
+    channel_effects_of,
+    dead_times_of,
+    saturation,
+    sensor_bias,
+    time_delay,
+)
+from casid.model.effects.channels.recorded_commands import is_moved
+from casid.model.effects.channels.sensor_effects import sensor_effects_of
+from casid.model.effects.clock_effects import clock_effects_of
+from casid.model.effects.effect import Effect, Motion, Sizes
 from casid.model.effects.parameter_effects import (
     input_schedules_of,
     is_constant_term,
@@ -54,10 +65,9 @@ from casid.model.effects.parameter_effects import (
     scheduled_parameter,
     state_schedules_of,
 )
-from casid.model.effects.place import Place
-from casid.model.effects.places import places_of
-from casid.model.effects.planes import planes_of
-from casid.model.effects.recorded_commands import is_moved
+from casid.model.effects.places.place import Place
+from casid.model.effects.places.places import places_of
+from casid.model.effects.places.planes import planes_of
 from casid.model.effects.search_ranges import (
     CONTACT_RANGES,
     FRICTION_RANGES,
@@ -65,16 +75,6 @@ from casid.model.effects.search_ranges import (
     RANGES,
     SMOOTHING,
     UNNAMED_EFFECTS,
-)
-from casid.model.effects.sensor_effects import sensor_effects_of
-from casid.model.effects.unnamed_effects import (
-    linear_loss,
-    linear_restoring_force,
-    missing_links,
-    saturating_force,
-    unnamed_effects,
-    uptakes_of,
-    vanishes_with,
 )
 from casid.model.model import Model
 

@@ -10,8 +10,8 @@ import casadi as ca
 
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.balance_effects import offset
-from casid.model.effects.channel_effects import scaled_input, sensor_bias, sensor_scale
+from casid.model.effects.balances.balance_effects import offset
+from casid.model.effects.channels.channel_effects import scaled_input, sensor_bias, sensor_scale
 from casid.model.effects.effect import Effect, known_while_null
 from casid.model.effects.names import (
     DURING_THE_RECORD,
@@ -30,7 +30,7 @@ from casid.model.effects.parameter_effects import (
     since,
     step_at,
 )
-from casid.model.effects.place import (
+from casid.model.effects.places.place import (
     a_constant,
     a_quantity,
     is_mechanical,

@@ -11,10 +11,10 @@ import numpy as np
 from casid.model.clock_signals import RampOver, StepAt
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.balances.flow_laws import is_never_negative, rounded_power
 from casid.model.effects.effect import Effect, Motion, Sizes, Spread
-from casid.model.effects.flow_laws import is_never_negative, rounded_power
 from casid.model.effects.names import FOR_A_WHILE
-from casid.model.effects.place import is_amount, is_mechanical, is_zero, recorded_inputs
+from casid.model.effects.places.place import is_amount, is_mechanical, is_zero, recorded_inputs
 from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS, UNNAMED_EFFECTS
 from casid.model.model import Model
 from casid.model.quantities import quantity_text

@@ -12,18 +12,18 @@ from casid.threshold_table import threshold as _is
 
 _TESTS = "tests/model/effects"
 _CATALOGUE = f"{_TESTS}/test_effect.py"
-_BALANCES = f"{_TESTS}/test_balance_effects.py"
-_CHANNELS = f"{_TESTS}/test_channel_effects.py"
-_ACTUATORS = f"{_TESTS}/test_actuator_effects.py"
-_RATES = f"{_TESTS}/test_rate_limit.py"
-_CONTACT = f"{_TESTS}/test_contact_effects.py"
-_FRICTION = f"{_TESTS}/test_friction_effects.py"
-_PLANES = f"{_TESTS}/test_planes.py"
+_BALANCES = f"{_TESTS}/balances/test_balance_effects.py"
+_CHANNELS = f"{_TESTS}/channels/test_channel_effects.py"
+_ACTUATORS = f"{_TESTS}/channels/test_actuator_effects.py"
+_RATES = f"{_TESTS}/channels/test_rate_limit.py"
+_CONTACT = f"{_TESTS}/balances/test_contact_effects.py"
+_FRICTION = f"{_TESTS}/balances/test_friction_effects.py"
+_PLANES = f"{_TESTS}/places/test_planes.py"
 _SCHEDULED = f"{_TESTS}/test_scheduled_parameter.py"
-_LAGS = f"{_TESTS}/test_actuator_lag.py"
-_PARTS = f"{_TESTS}/test_missing_parts.py"
-_FLOW_LAWS = f"{_TESTS}/test_flow_laws.py"
-_UNNAMED = f"{_TESTS}/test_unnamed_effects.py"
+_LAGS = f"{_TESTS}/channels/test_actuator_lag.py"
+_PARTS = f"{_TESTS}/balances/test_missing_parts.py"
+_FLOW_LAWS = f"{_TESTS}/balances/test_flow_laws.py"
+_UNNAMED = f"{_TESTS}/balances/test_unnamed_effects.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +274,7 @@ class Ranges:
         0.1,
         "of the window, the longest dead time of an input: as much of every output is left out, as "
         "it is due to what was before the record",
-        f"{_TESTS}/test_dead_time.py",
+        f"{_TESTS}/channels/test_dead_time.py",
     )
     sensor_lag: float = _is(2.0, "longest delays, the longest lag of a sensor", _CHANNELS)
     lowest_scale: float = _is(

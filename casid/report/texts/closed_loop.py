@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casid.algebra.factoring import factored
-from casid.linear.closed_loop import ClosedLoopView
+from casid.linear.loops.closed_loop import ClosedLoopView
 from casid.report.document import Document, Lines
 
 Algebra = Any  # a sympy expression or matrix

@@ -10,7 +10,7 @@ from casid.identifiability.records.practical_result import UNDETERMINED, Practic
 from casid.identifiability.remedies.sensor_subsets import SensorSubsets
 from casid.identifiability.symbolic.observability_matrix import ObservabilityMatrix
 from casid.identifiability.symbolic.reduced_form import ReducedForm
-from casid.linear.discretisation_bias import BiasTable
+from casid.linear.sampled.discretisation_bias import BiasTable
 from casid.model.units import difference_from_si, from_si
 from casid.report.document import Code, Document, Labelled, Table
 from casid.report.numbers import number_text, value_text

@@ -159,7 +159,7 @@ def run_noncausally(f: RationalMatrix, signals: Any) -> tuple[Array, Array]:
         If f is in s, a pole lies on the unit circle (which), or the shapes do not fit.
     """
     from casid.algebra.realisation import matrices
-    from casid.linear.split_dynamics import split_dynamics
+    from casid.linear.filtering.split_dynamics import split_dynamics
 
     v = np.asarray(signals, dtype=float)
     v = v[:, None] if v.ndim == 1 else v

@@ -19,9 +19,9 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, nearest
-from casid.linear.kalman import steady_state
-from casid.linear.noisy_system import NoisySystem, sample_system
-from casid.linear.recursion import recursion
+from casid.linear.filtering.kalman import steady_state
+from casid.linear.filtering.noisy_system import NoisySystem, sample_system
+from casid.linear.filtering.recursion import recursion
 from casid.linear.subspaces import TOLERANCE, row_space, size
 from casid.unknown_inputs.observers.equivalent_model import Existence, pole_text, require_existence
 from casid.unknown_inputs.observers.system_reader import unknown_input_system

@@ -2,9 +2,9 @@
 
     w[t+1] = A_w w[t] + noise,   u = C_w w,   x[t+1] = A x[t] + E u[t],   y = C x + F u + v   (1)
 
-The joint state is smoothed by the recursion of Rauch, Tung and Striebel
-(`casid.linear.extended_smoother`, exact for linear systems). The response to known inputs is
-taken from y beforehand. Levels of noise that are not given are those of the greatest likelihood.
+The joint state is smoothed by the recursion of Rauch, Tung and Striebel, exact for linear systems
+(`casid.linear.filtering.extended_smoother`). The response to known inputs is taken from y
+beforehand. Levels of noise that are not given are those of the greatest likelihood.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import ModelError, nearest
-from casid.linear.extended_smoother import ExtendedSmoother, StochasticModel
-from casid.linear.noisy_system import sample_noise
-from casid.linear.split_dynamics import split_dynamics
+from casid.linear.filtering.extended_smoother import ExtendedSmoother, StochasticModel
+from casid.linear.filtering.noisy_system import sample_noise
+from casid.linear.filtering.split_dynamics import split_dynamics
 from casid.linear.stability import LAST_STABLE, spectral_radius
 from casid.unknown_inputs.observers.equivalent_model import require_recoverable
 from casid.unknown_inputs.observers.input_estimate import InputEstimate, noise_guess

@@ -25,7 +25,7 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
-from casid.linear.split_dynamics import SplitDynamics, split_dynamics
+from casid.linear.filtering.split_dynamics import SplitDynamics, split_dynamics
 from casid.linear.subspaces import unobservable_subspace
 from casid.model.quantities import count_text
 from casid.unknown_inputs.observers.equivalent_model import (

@@ -8,8 +8,8 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.errors import ModelError
-from casid.linear.kalman import steady_state
-from casid.linear.noisy_system import NoisySystem
+from casid.linear.filtering.kalman import steady_state
+from casid.linear.filtering.noisy_system import NoisySystem
 from casid.linear.subspaces import (
     TOLERANCE,
     input_scale,

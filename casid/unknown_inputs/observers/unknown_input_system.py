@@ -16,7 +16,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, nearest
-from casid.linear.noisy_system import sample_system
+from casid.linear.filtering.noisy_system import sample_system
 from casid.model.units import same_dimension
 
 
@@ -77,7 +77,7 @@ class UnknownInputSystem:
         if nu == 0:
             raise ModelError(
                 f"{self.name} has no unknown input; name one with unknown='...', or use an "
-                "ordinary observer (casid.linear.kalman)"
+                "ordinary observer (casid.linear.filtering.kalman)"
             )
         if not (np.isfinite(self.Ts) and self.Ts >= 0):
             raise ModelError(

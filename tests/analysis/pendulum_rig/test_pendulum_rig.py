@@ -15,7 +15,7 @@ from analysis.pendulum_rig.robustness import amplitudes, crossing, stiffening
 from analysis.pendulum_rig.runs import Coverage
 from analysis.pendulum_rig.tables import PUBLISHED, PUBLISHED_FITS, PUBLISHED_VALUES
 from casid.estimation.moments.validation import validate
-from casid.linear.difference_equation import difference_equation
+from casid.linear.sampled.difference_equation import difference_equation
 from problems import pendulum_rig as rig
 from tests.support.shared import ROOT
 

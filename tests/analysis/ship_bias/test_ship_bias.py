@@ -20,7 +20,7 @@ from analysis.ship_bias.wrong_signs import flipped, straight_course
 from casid.estimation.cross_moments.column_products import column_means
 from casid.identification.moment_estimators import least_squares
 from casid.identification.signs_from_moments import sign_flips
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 from problems import ship
 from problems.ship import TABLE_8_2
 from tests.problems.test_ship import coefficients

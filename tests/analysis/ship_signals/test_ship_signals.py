@@ -47,8 +47,8 @@ from analysis.ship_signals.model import (
     values_of,
 )
 from casid.errors import ModelError
-from casid.linear.closed_loop import closed_loop_view
 from casid.linear.linear_model import linearise
+from casid.linear.loops.closed_loop import closed_loop_view
 from problems.ship import LOAD_CASES as KNOWN
 from problems.ship import TABLE_8_2, indirect_model
 from problems.ship_4dof import LOAD_CASES, Coefficients, Ship, linearised, tangent

@@ -24,8 +24,12 @@ from casid.diagnosis.evidence.scores.score_tests import score_test
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.errors import DataError
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.model.effects.balance_effects import coulomb_friction, cubic_stiffness, quadratic_damping
-from casid.model.effects.channel_effects import time_delay
+from casid.model.effects.balances.balance_effects import (
+    coulomb_friction,
+    cubic_stiffness,
+    quadratic_damping,
+)
+from casid.model.effects.channels.channel_effects import time_delay
 from casid.model.effects.effect import Spread
 from casid.model.effects.names import place_words
 from casid.model.effects.parameter_effects import parameter_jump, scheduled_parameter

@@ -26,10 +26,10 @@ from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.estimation.estimate import Estimated
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.declarations import Parameter
-from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
-from casid.model.effects.channel_effects import sensor_bias, sensor_scale, time_delay
+from casid.model.effects.balances.balance_effects import extra_input, offset, quadratic_damping
+from casid.model.effects.channels.channel_effects import sensor_bias, sensor_scale, time_delay
+from casid.model.effects.channels.sensor_effects import rectified
 from casid.model.effects.effect import Effect
-from casid.model.effects.sensor_effects import rectified
 from casid.model.model import Model
 from problems import pendulum
 from tests.support import truth

@@ -14,8 +14,8 @@ from casid.diagnosis.evidence.recording_faults.corrupted_samples import without_
 from casid.diagnosis.evidence.residual.residual_tests import NOISE, residual_tests
 from casid.diagnosis.evidence.scores.score_tests import score_test
 from casid.estimation.holdout import split_records
-from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping
-from casid.model.effects.channel_effects import sensor_lag, time_delay
+from casid.model.effects.balances.balance_effects import cubic_stiffness, quadratic_damping
+from casid.model.effects.channels.channel_effects import sensor_lag, time_delay
 from casid.model.effects.effect import Effect
 from tests.support.hidden_forces import FORCES, model, record, weighted
 

@@ -6,7 +6,7 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.scores.score_tests import score_test
-from casid.model.effects.balance_effects import quadratic_damping
+from casid.model.effects.balances.balance_effects import quadratic_damping
 from tests.support.hidden_forces import fitted
 
 

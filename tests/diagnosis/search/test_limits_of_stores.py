@@ -12,8 +12,8 @@ from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
-from casid.model.effects.missing_parts import missing_store
-from casid.model.effects.unnamed_effects import linear_loss
+from casid.model.effects.balances.missing_parts import missing_store
+from casid.model.effects.balances.unnamed_effects import linear_loss
 
 ONCE = casid.FitSettings(starts=1)
 

@@ -13,8 +13,8 @@ from casid.diagnosis.search import selection
 from casid.diagnosis.search.refusals import ACCEPTED, Refusal
 from casid.diagnosis.search.selection import Selection, why_undetermined
 from casid.estimation.simulation.fit import fit_model
-from casid.model.effects.balance_effects import cubic_stiffness
-from casid.model.effects.channel_effects import sensor_scale
+from casid.model.effects.balances.balance_effects import cubic_stiffness
+from casid.model.effects.channels.channel_effects import sensor_scale
 from casid.model.effects.parameter_effects import parameter_drift
 
 

@@ -10,7 +10,7 @@ import casid
 from casid.diagnosis.evidence.scores.score_tests import Score
 from casid.diagnosis.search import rounds
 from casid.diagnosis.thresholds import RESTARTS, SHORTLIST
-from casid.model.effects.channel_effects import sensor_lag
+from casid.model.effects.channels.channel_effects import sensor_lag
 from casid.model.effects.effect import Motion
 from casid.model.effects.parameter_effects import parameter_jump, state_scheduled_parameter
 

@@ -7,7 +7,7 @@ import pytest
 
 import casid
 from casid.diagnosis.verdict.cause import Cause
-from casid.model.effects.contact_effects import end_stop
+from casid.model.effects.balances.contact_effects import end_stop
 from casid.report.numbers import estimated_texts
 
 TS, N, MASS, DAMPING, STIFFNESS, STOP = 0.05, 1000, 2.0, 0.8, 9.0, 40.0  # SI

@@ -9,7 +9,7 @@ import pytest
 
 import casid
 from casid.diagnosis.search.rounds import smooths_a_switch
-from casid.model.effects.channel_effects import hold
+from casid.model.effects.channels.channel_effects import hold
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import casid
 from casid.diagnosis.verdict.gain import rmse
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
-from casid.model.effects.channel_effects import sensor_lag
+from casid.model.effects.channels.channel_effects import sensor_lag
 
 TS, N, TIME, LAG, NOISE = 0.1, 600, 2.0, 0.8, 0.01
 

@@ -27,8 +27,8 @@ from casid.diagnosis.verdict.sentences import (
     why_alternative,
 )
 from casid.estimation.estimate import Estimated
-from casid.model.effects.balance_effects import coulomb_friction, offset, quadratic_damping
-from casid.model.effects.channel_effects import hold, sensor_bias
+from casid.model.effects.balances.balance_effects import coulomb_friction, offset, quadratic_damping
+from casid.model.effects.channels.channel_effects import hold, sensor_bias
 from casid.model.effects.clock_effects import bias_drift, offset_step
 from casid.model.effects.names import effect_words, law_of
 from casid.model.effects.parameter_effects import parameter_drift

@@ -18,8 +18,8 @@ from casid.diagnosis.thresholds import COMPARISON
 from casid.diagnosis.verdict.unknown_cause import with_the_unnamed_alternative
 from casid.diagnosis.verdict.unnamed_alternatives import UnnamedAlternative
 from casid.errors import ModelError
-from casid.model.effects.actuator_effects import actuator_lag
-from casid.model.effects.balance_effects import extra_input
+from casid.model.effects.balances.balance_effects import extra_input
+from casid.model.effects.channels.actuator_effects import actuator_lag
 from casid.model.effects.effect import KINDS
 from problems import pendulum
 from tests.diagnosis.test_diagnose import record_of

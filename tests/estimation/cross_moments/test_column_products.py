@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from casid.estimation.cross_moments.column_products import column_products
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 
 CHANNELS = ("u", "v", "w")
 

@@ -31,7 +31,7 @@ from casid.estimation.cross_moments.moments import (
     of_record,
     weighted,
 )
-from casid.linear.lagged_columns import Column, lagged
+from casid.linear.sampled.lagged_columns import Column, lagged
 from tests.support.shared import ROOT
 
 U = 2.0**-53

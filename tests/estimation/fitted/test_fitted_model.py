@@ -10,12 +10,12 @@ from casid.estimation.fitted.equations import equations_of
 from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation_estimate import estimate_of
 from casid.model.clock_signals import StepAt
-from casid.model.effects.actuator_effects import actuator_lag
-from casid.model.effects.balance_effects import quadratic_damping
-from casid.model.effects.channel_effects import dead_time, hold, sensor_lag, time_delay
+from casid.model.effects.balances.balance_effects import quadratic_damping
+from casid.model.effects.balances.periodic import periodic_disturbance
+from casid.model.effects.channels.actuator_effects import actuator_lag
+from casid.model.effects.channels.channel_effects import dead_time, hold, sensor_lag, time_delay
 from casid.model.effects.effect import Motion
 from casid.model.effects.parameter_effects import parameter_jump, state_scheduled_parameter
-from casid.model.effects.periodic import periodic_disturbance
 from tests.support.fitted_models import driven_mass
 
 TS = 0.02

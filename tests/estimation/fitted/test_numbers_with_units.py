@@ -9,7 +9,7 @@ import pytest
 
 import casid
 from casid.estimation.fitted.equations import ModelEquation, equations_of
-from casid.model.effects.balance_effects import coulomb_friction, extra_input
+from casid.model.effects.balances.balance_effects import coulomb_friction, extra_input
 from casid.model.effects.effect import Effect, Motion, Spread
 from casid.model.effects.parameter_effects import scheduled_parameter, state_scheduled_parameter
 

@@ -7,7 +7,7 @@ import pytest
 
 import casid
 from casid.identification.grey_box import Prediction, minimize_prediction_error
-from casid.linear.noisy_model import White
+from casid.linear.filtering.noisy_model import White
 from tests.identification.test_grey_box import A, lag_model, lag_record
 
 TS, Q, R = 0.2, 0.5, 0.2

@@ -17,8 +17,8 @@ from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.records.signals import signals_of
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.actuator_effects import actuator_lag
-from casid.model.effects.channel_effects import sensor_lag
+from casid.model.effects.channels.actuator_effects import actuator_lag
+from casid.model.effects.channels.channel_effects import sensor_lag
 from problems import pendulum
 from tests.support import truth
 

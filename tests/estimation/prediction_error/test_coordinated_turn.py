@@ -22,8 +22,8 @@ from casid.estimation.prediction_error.coordinated_turn import (
     rounding_error,
     smooth_track,
 )
-from casid.linear.extended_smoother import ExtendedSmoother, StochasticModel
-from casid.linear.noisy_system import sample_noise
+from casid.linear.filtering.extended_smoother import ExtendedSmoother, StochasticModel
+from casid.linear.filtering.noisy_system import sample_noise
 from tests.support.shared import shared
 
 F = np.array([[1.0, 0.1], [-0.2, 0.95]])

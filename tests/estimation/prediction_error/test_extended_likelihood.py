@@ -17,7 +17,7 @@ from casid.estimation.prediction_error.disturbances import (
 from casid.estimation.prediction_error.extended_likelihood import ExtendedPredictionError
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.identification.grey_box import minimize_extended_prediction_error
-from casid.linear.noisy_model import White
+from casid.linear.filtering.noisy_model import White
 
 K, D, TS = 4.0, 0.4, 0.1
 

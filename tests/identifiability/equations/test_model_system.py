@@ -15,8 +15,8 @@ from casid.errors import DataError, ModelError
 from casid.identifiability.equations.model_system import left_out, system_of, translated
 from casid.identifiability.equations.system import System
 from casid.model.declarations import Input
-from casid.model.effects.actuator_effects import actuator_lag
-from casid.model.effects.channel_effects import (
+from casid.model.effects.channels.actuator_effects import actuator_lag
+from casid.model.effects.channels.channel_effects import (
     hold,
     saturation,
     sensor_bias,

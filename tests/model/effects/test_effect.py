@@ -10,8 +10,7 @@ import pytest
 import casid
 from casid.diagnosis.verdict.sentences import says
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.actuator_effects import actuator_lag
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     extra_input,
@@ -21,7 +20,8 @@ from casid.model.effects.balance_effects import (
     quadratic_damping,
 )
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.channel_effects import saturation, sensor_bias, time_delay
+from casid.model.effects.channels.actuator_effects import actuator_lag
+from casid.model.effects.channels.channel_effects import saturation, sensor_bias, time_delay
 from casid.model.effects.effect import Sizes, Spread, extend_all
 from casid.model.effects.parameter_effects import (
     jump_times,

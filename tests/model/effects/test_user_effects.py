@@ -15,7 +15,7 @@ from casid.errors import ModelError
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.integration.simulator import Simulator
 from casid.model.declarations import Parameter
-from casid.model.effects.balance_effects import coulomb_friction
+from casid.model.effects.balances.balance_effects import coulomb_friction
 from casid.model.effects.effect import Effect
 from casid.model.effects.user_effects import (
     balance_effect,

@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
-from casid.linear.split_dynamics import split_dynamics
+from casid.linear.filtering.split_dynamics import split_dynamics
 from casid.unknown_inputs.observers.decoupled_observer import decoupled_observer
 from casid.unknown_inputs.observers.input_smoother import reconstruct_input
 from casid.unknown_inputs.observers.noncausal_inverse import noncausal_inverse
@@ -167,7 +167,7 @@ def test_a_model_of_the_input_s_spectrum_beats_the_random_walk_where_it_is_right
     shape = control.ss(control.tf([3.0], [1, 0.3, 9.0]))
     from scipy.linalg import expm
 
-    from casid.linear.noisy_system import sample_noise
+    from casid.linear.filtering.noisy_system import sample_noise
 
     Ad, Q = expm(shape.A * s.Ts), sample_noise(shape.A, shape.B @ shape.B.T, s.Ts)
     root = np.linalg.cholesky(Q)

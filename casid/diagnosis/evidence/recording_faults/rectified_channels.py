@@ -26,8 +26,8 @@ from casid.identification.signs_from_simulation import (
     is_better_than_the_mean,
     squared_errors,
 )
+from casid.model.effects.channels.sensor_effects import rectified, shows_sizes
 from casid.model.effects.search_ranges import RECTIFIED
-from casid.model.effects.sensor_effects import rectified, shows_sizes
 from casid.model.model import Model
 
 

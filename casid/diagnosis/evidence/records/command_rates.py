@@ -11,7 +11,7 @@ from casid.arrays import Array
 from casid.estimation.simulation.channels.rate_limits import rate_limited
 from casid.estimation.simulation.channels.sample_lines import lines_of
 from casid.estimation.simulation.records.signals import Signals
-from casid.model.effects.recorded_commands import commands_of, is_rate_limited
+from casid.model.effects.channels.recorded_commands import commands_of, is_rate_limited
 from casid.model.effects.search_ranges import ACTUATORS
 from casid.model.model import Model
 

@@ -17,10 +17,10 @@ from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.thresholds import COGGING
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.cogging_effects import cogging
+from casid.model.effects.balances.cogging_effects import cogging
 from casid.model.effects.effect import Effect, Motion, Sizes
-from casid.model.effects.place import Place
-from casid.model.effects.places import places_of
+from casid.model.effects.places.place import Place
+from casid.model.effects.places.places import places_of
 from casid.model.units import same_dimension
 
 

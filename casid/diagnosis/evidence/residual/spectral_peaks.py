@@ -30,9 +30,9 @@ from casid.arrays import TINY, Array
 from casid.diagnosis.thresholds import PEAKS
 from casid.estimation.simulation.minimization import Fit, widened
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.effects.balances.periodic import periodic_disturbance
 from casid.model.effects.effect import Effect
-from casid.model.effects.periodic import periodic_disturbance
-from casid.model.effects.places import places_of
+from casid.model.effects.places.places import places_of
 
 
 @dataclass(frozen=True, slots=True)

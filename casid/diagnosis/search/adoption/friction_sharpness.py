@@ -18,7 +18,7 @@ from casid.diagnosis.search.refusals import SUPERFLUOUS
 from casid.diagnosis.thresholds import FRICTION
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.thresholds import STEPS
-from casid.model.effects.balance_effects import coulomb_friction
+from casid.model.effects.balances.balance_effects import coulomb_friction
 
 STRIBECK = "stribeck_friction"
 

@@ -16,7 +16,7 @@ from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import FRICTION, PEAKS, ROUNDS
 from casid.model.effects.effect import Effect
-from casid.model.effects.places import place_named
+from casid.model.effects.places.places import place_named
 
 FRICTIONS = (
     "coulomb_friction",

@@ -35,8 +35,8 @@ from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.balances.periodic import sinusoid
 from casid.model.effects.effect import Effect
-from casid.model.effects.periodic import sinusoid
 from casid.model.effects.search_ranges import PARAMETER_JUMPS, PERIODIC_FORCES
 
 

@@ -21,8 +21,8 @@ from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON, FRICTION
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.balance_effects import coulomb_friction
-from casid.model.effects.places import place_named
+from casid.model.effects.balances.balance_effects import coulomb_friction
+from casid.model.effects.places.places import place_named
 
 
 def sharpened(

@@ -17,9 +17,9 @@ from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import COMPARISON, STOPS
-from casid.model.effects.balance_effects import stiffness_of
-from casid.model.effects.contact_effects import rounded_stop
-from casid.model.effects.places import place_named
+from casid.model.effects.balances.balance_effects import stiffness_of
+from casid.model.effects.balances.contact_effects import rounded_stop
+from casid.model.effects.places.places import place_named
 
 
 def is_soft_stop(at: Weighted, found: Candidate) -> bool:

@@ -8,8 +8,8 @@ from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.settings import Progress
+from casid.model.effects.balances.missing_parts import missing_mode
 from casid.model.effects.effect import Effect
-from casid.model.effects.missing_parts import missing_mode
 from casid.model.effects.search_ranges import MISSING_MODES
 from casid.model.model import Model
 

@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casid.arrays import Array
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 
 LONGEST_SEGMENT = 8192
 """Samples of a segment where the record is long enough for at least 7 overlapping ones."""

@@ -21,7 +21,7 @@ from casid.estimation.moments.equations.long_run_covariance import (
     segments,
 )
 from casid.estimation.moments.equations.moment_equations import MomentEquations
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 
 Covariance = Literal["independent", "scores", "white"]
 

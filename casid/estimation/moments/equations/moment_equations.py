@@ -25,8 +25,8 @@ from casid.estimation.cross_moments.moments import Moments, moments
 from casid.estimation.moments.equations.long_run_covariance import cross_covariances, memory
 from casid.estimation.moments.equations.parts import Part
 from casid.estimation.moments.instruments.instruments import Simulated
-from casid.linear.difference_equation import DifferenceEquation
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.difference_equation import DifferenceEquation
+from casid.linear.sampled.lagged_columns import Column
 
 Weighting = Literal["2sls", "optimal", "identity"]
 

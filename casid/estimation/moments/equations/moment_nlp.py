@@ -22,7 +22,7 @@ from casid.estimation.moments.equations.moment_equations import MomentEquations
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver
-from casid.linear.difference_equation import DifferenceEquation
+from casid.linear.sampled.difference_equation import DifferenceEquation
 from casid.model.declarations import Parameter
 
 Constraint = Callable[[Mapping[str, Any]], Any]

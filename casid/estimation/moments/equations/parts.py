@@ -12,7 +12,7 @@ from casid.data.experiment import Experiment
 from casid.errors import DataError, ModelError
 from casid.estimation.simulation.records.input_gaps import recorded_inputs
 from casid.estimation.simulation.records.signals import Signals, signals_of
-from casid.linear.difference_equation import DifferenceEquation, difference_equation
+from casid.linear.sampled.difference_equation import DifferenceEquation, difference_equation
 from casid.model.model import Model
 
 

@@ -26,9 +26,9 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.errors import DataError, ModelError
 from casid.estimation.moments.instruments.reference_filter import Filter, ReferenceFilter
-from casid.linear.discretisation import discretise
-from casid.linear.lagged_columns import Column, lagged
 from casid.linear.linear_model import linearise
+from casid.linear.sampled.discretisation import discretise
+from casid.linear.sampled.lagged_columns import Column, lagged
 from casid.model.model import Model
 
 

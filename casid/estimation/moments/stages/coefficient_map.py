@@ -16,8 +16,8 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.estimation.local_rank import describe_null, local_rank
-from casid.linear.affine_hull import affine_hull
-from casid.linear.difference_equation import DifferenceEquation
+from casid.linear.hulls.affine_hull import affine_hull
+from casid.linear.sampled.difference_equation import DifferenceEquation
 from casid.model.declarations import Parameter
 
 

@@ -21,7 +21,7 @@ class MomentSettings:
 
     Attributes
     ----------
-    method : discretisation of the model (`casid.linear.discretisation.METHODS`).
+    method : discretisation of the model (`casid.linear.sampled.discretisation.METHODS`).
     outputs : of the model that are used; None: all.
     form : ``"linear"`` (Approach 5.1: linear constraints, then the inverse map), ``"eliminated"``
         or ``"lifted"`` (Approach 5.2: bounds and constraints on the physical parameters).

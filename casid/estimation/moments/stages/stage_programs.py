@@ -15,7 +15,7 @@ from casid.estimation.moments.stages.coefficient_map import CoefficientMap
 from casid.estimation.moments.stages.moment_settings import MomentSettings
 from casid.estimation.nlp.solution import Solution, not_converged
 from casid.linear.constrained_least_squares import null_space_least_squares
-from casid.linear.difference_equation import DifferenceEquation
+from casid.linear.sampled.difference_equation import DifferenceEquation
 from casid.model.declarations import Parameter
 
 

@@ -20,7 +20,7 @@ from casid.estimation.moments.stages.prior import Prior
 from casid.estimation.moments.stages.stage import Stage, StageFit
 from casid.estimation.moments.stages.stage_estimate import moment_estimate
 from casid.estimation.moments.stages.stage_plan import StageRecords, StageSpec, refuse_undetermined
-from casid.linear.difference_equation import DifferenceEquation
+from casid.linear.sampled.difference_equation import DifferenceEquation
 from casid.model.model import Model
 
 

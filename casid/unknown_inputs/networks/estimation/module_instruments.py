@@ -23,7 +23,7 @@ from casid.estimation.moments.stages.noise_models import noise_models
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
-from casid.linear.difference_equation import DifferenceEquation
+from casid.linear.sampled.difference_equation import DifferenceEquation
 from casid.model.declarations import Parameter
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, without_noise

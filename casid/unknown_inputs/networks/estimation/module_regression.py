@@ -13,9 +13,9 @@ from typing import Any
 import casadi as ca
 
 from casid.estimation.prediction_error.polynomial.orders import Layout
-from casid.linear.difference_equation import DifferenceEquation
-from casid.linear.lagged_columns import Column
 from casid.linear.linear_model import TransferMatrix
+from casid.linear.sampled.difference_equation import DifferenceEquation
+from casid.linear.sampled.lagged_columns import Column
 
 
 def module_regression(layout: Layout, output: str, Ts: float) -> DifferenceEquation:

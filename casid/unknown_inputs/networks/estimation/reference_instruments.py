@@ -12,8 +12,8 @@ from casid.errors import CasidError
 from casid.estimation.moments.instruments.instruments import Simulated, from_reference
 from casid.estimation.prediction_error.polynomial.estimation import arx
 from casid.estimation.prediction_error.polynomial.model import PolynomialModel
-from casid.linear.difference_equation import DifferenceEquation
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.difference_equation import DifferenceEquation
+from casid.linear.sampled.lagged_columns import Column
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 
 ORDERS = 2, 3, 4, 6, 8, 12  # of the ARX models; BIC chooses, so that little noise is fitted

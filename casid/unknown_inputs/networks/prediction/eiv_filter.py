@@ -26,8 +26,8 @@ from casid.argument_types import names_wrong_types
 from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import ModelError
-from casid.linear.kalman import Predictor, steady_state, step, time_varying
-from casid.linear.noisy_system import NoisySystem
+from casid.linear.filtering.kalman import Predictor, steady_state, step, time_varying
+from casid.linear.filtering.noisy_system import NoisySystem
 from casid.model.quantities import count_text
 from casid.unknown_inputs.networks.network import Network, Signal
 from casid.unknown_inputs.networks.node_sets import NodeSets, sets_for

@@ -12,8 +12,8 @@ from casid.algebra.realisation import matrices
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.linear.kalman import Predictor, steady_state
-from casid.linear.noisy_system import NoisySystem
+from casid.linear.filtering.kalman import Predictor, steady_state
+from casid.linear.filtering.noisy_system import NoisySystem
 from casid.unknown_inputs.networks.network import Signal
 
 

@@ -13,7 +13,7 @@ from casid.algebra.rational import Rational
 from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import ModelError
-from casid.linear.kalman import Predictor
+from casid.linear.filtering.kalman import Predictor
 from casid.unknown_inputs.networks.network import Network, Signal
 from casid.unknown_inputs.networks.nodes import Node, node_label
 from casid.unknown_inputs.networks.prediction.error_variance import innovations, variance

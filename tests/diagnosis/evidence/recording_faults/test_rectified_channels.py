@@ -12,8 +12,8 @@ import casid
 from casid.diagnosis.evidence.baseline import Baseline, fit_baseline
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.estimation.holdout import split_records
+from casid.model.effects.channels.sensor_effects import rectified, sensor_effects_of
 from casid.model.effects.effect import Sizes
-from casid.model.effects.sensor_effects import rectified, sensor_effects_of
 
 J, K, D = 2e-3, 0.06, 2.5e-3  # kg m^2, N m/V, N m s/rad
 TS, NOISE = 0.02, 0.5  # s, rad/s

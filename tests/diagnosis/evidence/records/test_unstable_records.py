@@ -26,7 +26,7 @@ from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.instability import growth_rate, window_for
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INSTABILITY
-from casid.model.effects.missing_parts import missing_mode
+from casid.model.effects.balances.missing_parts import missing_mode
 
 TS = 0.01
 J, MGL, D = 0.05, 2.0, 0.02  # kg m^2, N m, N m s/rad

@@ -12,7 +12,7 @@ from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.thresholds import COGGING
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.effect import Motion, Sizes
-from casid.model.effects.place import balance_place
+from casid.model.effects.places.place import balance_place
 
 Ts, N, J, B = 0.004, 1500, 2e-4, 2e-4
 TEETH = 9

@@ -14,13 +14,13 @@ from casid.diagnosis.search.adoption.reconsideration import cause_as_it_is
 from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, is_needed
 from casid.diagnosis.search.comparison.alternatives import rivals_of
 from casid.diagnosis.thresholds import COMPARISON
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_damping,
     extra_input,
     quadratic_damping,
 )
-from casid.model.effects.channel_effects import sensor_lag
+from casid.model.effects.channels.channel_effects import sensor_lag
 from tests.diagnosis.search.comparison.test_alternatives import JUMP, MODEL, judged
 
 CUBIC, SQUARE = cubic_damping(MODEL, "torque"), quadratic_damping(MODEL, "torque")

@@ -19,7 +19,7 @@ from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.reported_causes import remainders_of
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     deadzone,

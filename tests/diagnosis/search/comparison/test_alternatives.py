@@ -22,10 +22,14 @@ from casid.diagnosis.search.comparison.alternatives import (
     without_imitations,
 )
 from casid.diagnosis.thresholds import COMPARISON
-from casid.model.effects.balance_effects import cubic_damping, extra_input, quadratic_damping
-from casid.model.effects.contact_effects import end_stop
+from casid.model.effects.balances.balance_effects import (
+    cubic_damping,
+    extra_input,
+    quadratic_damping,
+)
+from casid.model.effects.balances.contact_effects import end_stop
+from casid.model.effects.balances.friction_effects import hysteresis
 from casid.model.effects.effect import Effect
-from casid.model.effects.friction_effects import hysteresis
 from casid.model.effects.parameter_effects import parameter_jump
 from problems import roll_decay
 

@@ -11,7 +11,7 @@ from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.comparison.contributions import contributions_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.estimation.simulation.fit import fit_model
-from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping
+from casid.model.effects.balances.balance_effects import cubic_stiffness, quadratic_damping
 from problems import roll_decay
 
 ONCE = casid.FitSettings(starts=1)

@@ -13,7 +13,7 @@ import casid
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.diagnosis.search.comparison.imitations import is_at_resonance, is_further_friction
 from casid.estimation.simulation.fit import fit_model
-from casid.model.effects.balance_effects import (
+from casid.model.effects.balances.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     offset,

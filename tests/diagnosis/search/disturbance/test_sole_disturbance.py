@@ -28,7 +28,7 @@ from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.balance_effects import quadratic_damping
+from casid.model.effects.balances.balance_effects import quadratic_damping
 from casid.model.effects.clock_effects import offset_step
 from casid.model.effects.effect import Effect
 from tests.diagnosis.search.noise_assumptions.test_disturbance_rival import hull, record

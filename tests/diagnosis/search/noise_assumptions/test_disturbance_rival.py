@@ -29,7 +29,7 @@ from casid.diagnosis.verdict import judgement
 from casid.diagnosis.verdict.tested_remainder import Remainder
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.model.effects.balance_effects import quadratic_damping
+from casid.model.effects.balances.balance_effects import quadratic_damping
 from casid.model.effects.parameter_effects import parameter_jump
 from tests.diagnosis.verdict.test_unknown_cause import left
 

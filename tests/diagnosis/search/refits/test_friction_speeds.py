@@ -16,7 +16,7 @@ from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.model.effects.balance_effects import coulomb_friction
+from casid.model.effects.balances.balance_effects import coulomb_friction
 
 TS, FRICTION, SHARP = 0.005, 0.8, 0.015  # s, N, m/s
 

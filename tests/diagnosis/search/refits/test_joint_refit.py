@@ -22,7 +22,7 @@ from casid.diagnosis.thresholds import REFITS
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.actuator_effects import actuator_lag
+from casid.model.effects.channels.actuator_effects import actuator_lag
 from tests.support.hidden_forces import RECORDED, fitted
 
 TS, INERTIA, GAIN, DAMPING, LAG = 0.01, 0.012, 0.9, 0.02, 0.03  # s, kg m^2, N m, N m s/rad, s

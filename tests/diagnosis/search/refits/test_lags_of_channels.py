@@ -21,8 +21,13 @@ from casid.diagnosis.search.refits.lags_of_channels import delays_of_best, lags_
 from casid.diagnosis.search.rounds import Search, shortlist
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.model.effects.actuator_effects import actuator_lag
-from casid.model.effects.channel_effects import dead_time, sensor_bias, sensor_lag, time_delay
+from casid.model.effects.channels.actuator_effects import actuator_lag
+from casid.model.effects.channels.channel_effects import (
+    dead_time,
+    sensor_bias,
+    sensor_lag,
+    time_delay,
+)
 from casid.model.effects.effect import LATE, Effect
 
 LAG = 40.0  # s

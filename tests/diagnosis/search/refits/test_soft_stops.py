@@ -13,7 +13,7 @@ from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.search.refits.soft_stops import is_soft_stop, without_soft_stops
 from casid.estimation.simulation.fit import fit_model
-from casid.model.effects.contact_effects import end_stop
+from casid.model.effects.balances.contact_effects import end_stop
 
 TS, N, MASS, DAMPING, STIFFNESS, LIMIT, NOISE = 0.05, 1000, 2.0, 0.8, 9.0, 0.7, 1e-3  # SI
 

@@ -11,7 +11,7 @@ from casid.diagnosis.search.refits.swinging_parts import (
     is_swinging_from_rest,
     may_move,
 )
-from casid.model.effects.missing_parts import missing_mode
+from casid.model.effects.balances.missing_parts import missing_mode
 
 
 def rotor() -> casid.Model:

@@ -11,7 +11,7 @@ from casid.estimation.moments.equations.long_run_covariance import (
     independent_covariances,
     segments,
 )
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 
 TS = 0.02
 A = np.poly(np.exp(TS * (-0.7 + 5.24j * np.array([1.0, -1.0])))).real

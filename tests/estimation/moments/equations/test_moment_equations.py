@@ -19,7 +19,7 @@ from casid.estimation.moments.equations.robust_weights import (
     weighted_equations,
 )
 from casid.estimation.moments.instruments.instruments import Simulated, independent
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.lagged_columns import Column
 from problems.pendulum import experiments, indirect_model
 
 TS = 0.01

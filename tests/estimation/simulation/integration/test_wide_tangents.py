@@ -11,7 +11,7 @@ from casid.compiler import compiler
 from casid.estimation.simulation.integration import simulator, wide_tangents
 from casid.estimation.simulation.integration.simulator import Simulator
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.channel_effects import sensor_lag
+from casid.model.effects.channels.channel_effects import sensor_lag
 from casid.model.effects.effect import Sizes, extend_all
 
 TS = 0.05

@@ -21,8 +21,8 @@ from casid.estimation.moments.equations.moment_covariance import moment_covarian
 from casid.estimation.moments.equations.moment_equations import MomentEquations
 from casid.estimation.moments.instruments.instruments import Instruments, Loop, Simulated
 from casid.estimation.prediction_error.polynomial.estimation import armax, arx
-from casid.linear.difference_equation import difference_equation
-from casid.linear.lagged_columns import Column
+from casid.linear.sampled.difference_equation import difference_equation
+from casid.linear.sampled.lagged_columns import Column
 from problems.pendulum import TABLE_7_2, indirect_model
 
 N = 200_000

@@ -1,0 +1,1 @@
+"""Linear constraints that a model's coefficients obey whatever its parameters are."""

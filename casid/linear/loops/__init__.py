@@ -1,0 +1,1 @@
+"""Linear loops: a plant and its controller, in continuous and in sampled time."""

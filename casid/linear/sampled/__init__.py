@@ -1,0 +1,1 @@
+"""Sampled linear models, the difference equations that they obey, and their way back."""

@@ -1,0 +1,1 @@
+"""Effects in the balances: forces, frictions, stops, losses, parts that move along."""

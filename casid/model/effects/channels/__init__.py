@@ -1,0 +1,1 @@
+"""Effects in what is recorded: sensors, commands and their actuators."""
