@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 from casid.data.problem import Problem
-from casid.diagnosis.solvers import EXACT, SETTLED
+from casid.diagnosis.solvers import EXACT
 from casid.diagnosis.thresholds import BUDGET
 from casid.errors import DataError
 from casid.estimation.simulation.fit import FitSettings
@@ -48,12 +48,7 @@ class DiagnosisSettings:
     @property
     def refit(self) -> FitSettings:
         """Settings of a fit that starts next to its minimum: from that start alone."""
-        return replace(self.fit, starts=1, solver=self.fit.solver or SETTLED)
-
-    @property
-    def last(self) -> FitSettings:
-        """The same of the fit that is reported."""
-        return replace(self.refit, solver=self.fit.solver or EXACT)
+        return replace(self.fit, starts=1, solver=self.fit.solver or EXACT)
 
     @property
     def search_ends(self) -> float:

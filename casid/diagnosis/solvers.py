@@ -20,6 +20,3 @@ EXACT = Solver(
     max_iterations=100, options={**NEAR.options, "ipopt.mu_init": 1e-6, "ipopt.tol": 1e-8}
 )
 """The same for fits that are reported."""
-
-SETTLED = replace(EXACT, enough=REFITS.settled)
-"""The same for extended models that are compared by their errors, of which one is reported."""

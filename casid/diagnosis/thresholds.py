@@ -681,12 +681,6 @@ class Refits:
         "there. At 20 000 samples of noise alone a tenth of a unit of the log-likelihood",
         f"{TESTS}/search/refits/test_joint_refit.py",
     )
-    settled: float = _is(
-        1e-7,
-        "of the squared error of an extended model, less than which a step would lower it: it is "
-        "compared with others by a hundredth of that error. The one that is reported is fitted on",
-        f"{TESTS}/search/test_findings.py",
-    )
     factors: tuple[float, ...] = _is(
         (0.5, 1.0, 2.0, 4.0), "times the linearised delay or lag to start from", POWER_STUDY
     )

@@ -35,7 +35,7 @@ from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import BUDGET, BURSTS
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
-from casid.estimation.simulation.fit import continued, weighted_by_errors
+from casid.estimation.simulation.fit import weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 
 
@@ -97,7 +97,6 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
     if not found.adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
     found = last.by_likelier_rivals(last.judged_again(found))
-    found = last.at_minimum(found)
     specific, found = last.with_sizes_by_record(found)
     extended = found.fit or own_fit
     corrected = last.without_input_noise(problem, extended)
@@ -152,17 +151,6 @@ class _LastSteps:
             lambda: weighted_by_errors(fit, self.settings.fit),
         )
         return found if again is None or not self.is_sound(again) else replace(found, fit=again)
-
-    def at_minimum(self, found: Adoption) -> Adoption:
-        """The fit continued to its minimum: those that were compared end next to theirs."""
-        fit = found.fit
-        if fit is None or fit.criterion.whiten is not None or fit.solution.is_converged:
-            return found
-        what = "the last steps of the fit of the extended model"
-        exact = self.search.attempts.attempt(what, lambda: continued(fit, self.settings.last))
-        if exact is None or not exact.solution.value <= fit.solution.value:
-            return found
-        return replace(found, fit=exact)
 
     def judged_again(self, found: Adoption) -> Adoption:
         """The causes with the rivals that cannot be rejected in the end."""

@@ -92,10 +92,6 @@ class Solver:
     below: float = math.inf
     known: tuple[float, ...] = ()
 
-    def is_content_with(self, status: str) -> bool:
-        """True of an end that is near enough to a minimum for this solver, though it be none."""
-        return self.enough > 0.0 and status == "Solve_Succeeded"
-
     def nlpsol_options(self) -> dict[str, Any]:
         """Options as `casadi.nlpsol` takes them."""
         # NaN on the way is the line search's business; one at the start is refused before.

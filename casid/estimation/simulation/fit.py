@@ -221,36 +221,31 @@ def weighted_by_errors(fit: Fit, settings: FitSettings) -> Fit:
     """
     if len(fit.criterion.outputs) == 1:
         return fit
+    settings = replace(settings, starts=1)
     for _ in range(ERROR_WEIGHTS.rounds):
         weights = one_over_errors(fit)
         if np.all(abs(np.log(weights / fit.criterion.weights)) < ERROR_WEIGHTS.settled):
             break
-        again = continued(fit, settings, weights)
+        c = fit.criterion
+        again = fit_model(
+            c.model,
+            c.experiments,
+            settings,
+            start=fit.values,
+            weights=weights,
+            check_rank=False,
+            throw=False,
+            substeps=c.substeps,
+        )
         if not np.isfinite(again.solution.value):
             break
-        fit = again
+        fit = replace(
+            again,
+            starts_tried=fit.starts_tried,
+            starts_agreeing=fit.starts_agreeing,
+            begun=fit.begun,
+        )
     return fit
-
-
-def continued(fit: Fit, settings: FitSettings, weights: Array | None = None) -> Fit:
-    """A fit continued from where it ended, in its own weights (ny,) or others."""
-    c = fit.criterion
-    again = fit_model(
-        c.model,
-        c.experiments,
-        replace(settings, starts=1),
-        start=fit.values,
-        weights=c.weights if weights is None else weights,
-        check_rank=False,
-        throw=False,
-        substeps=c.substeps,
-    )
-    return replace(
-        again,
-        starts_tried=fit.starts_tried,
-        starts_agreeing=fit.starts_agreeing,
-        begun=fit.begun,
-    )
 
 
 def one_over_errors(fit: Fit) -> Array:

@@ -137,7 +137,6 @@ def minimize_simulation_error(
             failures.append(str(error))
             continue
         is_done = solution.is_converged or retry == "none" or seconds_left() <= 0.0
-        is_done |= solver is not None and solver.is_content_with(solution.status)
         if retry == "unsuccessful" and k == 0 and solution.status == "Solve_Succeeded":
             is_done |= solution.value > 0.5 * first.value
         solutions.append(solution if is_done else _improved(nlp, criterion, solver, solution))
