@@ -20,6 +20,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.errors import SolveError
 from casid.estimation.noise.model_spectra import ModelSpectra, completed
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.source_spectra import SourceSpectra
@@ -112,7 +113,10 @@ class DisturbanceLikelihood(ModelSpectra):
             return impossible(len(z))
         R, J = lines.values[:, :, 0], lines.values[:, :, 1:]
         power = np.add.reduceat(R[:, :, None] * R[:, None, :].conj(), lines.edges)
-        S, slopes = self.spectra(z, e, lines.omega)
+        try:
+            S, slopes = self.spectra(z, e, lines.omega)
+        except SolveError:  # the response diverges there
+            return impossible(len(z))
         at = of_spectra(z, S, slopes, lines.count, power / lines.count[:, None, None])
         if at is None:
             return impossible(len(z))

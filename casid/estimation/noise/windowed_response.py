@@ -18,6 +18,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from casid.arrays import Array, basis_of
+from casid.errors import SolveError
 
 COLUMNS = 128
 """Instants of a window at which a pulse is tried, at most: (1) is a mean over all of them."""
@@ -44,6 +45,11 @@ def windowed_spectra(
         free.append(free[-1] @ a)
         pulse.append(c @ state)
         state = a @ state
+    if not (np.isfinite(free).all() and np.isfinite(pulse).all()):
+        raise SolveError(
+            f"the response to noise overflows within a window of {samples} samples; change the "
+            "start values, or fix a parameter"
+        )
     g, weighted = np.array(pulse), weights[:, None]
     basis = basis_of((np.array(free) * weighted).reshape(samples * ny, -1))
     starts = np.unique(np.linspace(0, samples - 1, min(samples, COLUMNS)).astype(int))

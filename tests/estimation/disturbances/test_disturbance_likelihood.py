@@ -15,6 +15,7 @@ from casid.diagnosis.evidence.whitening.prewhitening import (
     minus_log_likelihood,
     use_samples_of,
 )
+from casid.errors import SolveError
 from casid.estimation.disturbances.disturbance_likelihood import (
     DisturbanceLikelihood,
     errors,
@@ -249,3 +250,16 @@ def test_a_model_is_no_less_likely_for_samples_that_it_leaves_out() -> None:
     assert minus_log_likelihood(kept) - minus_log_likelihood(complete) > 40.0
     gap = minus_log_likelihood(kept, counted) - minus_log_likelihood(complete, counted)
     assert abs(gap) < 4 * np.sqrt(12 / 2)
+
+
+def test_a_point_at_which_the_response_diverges_is_none_of_the_search(monkeypatch) -> None:
+    """A trial step there is shortened; it does not end the search."""
+    _, _, fit, at = weighed(1, 3e-3)
+    search = DisturbanceLikelihood(fit.criterion, at.full, {}, [None])
+    z = np.concatenate([fit.x, search.start])
+
+    def diverges(*_, **__):
+        raise SolveError("the response to noise overflows")
+
+    monkeypatch.setattr(search, "_response", diverges)
+    assert search.at(z).value == np.inf

@@ -15,6 +15,7 @@ from casid.estimation.noise.model_spectra import ModelSpectra
 from casid.estimation.noise.noise_response import Response, with_windowed_spectra
 from casid.estimation.noise.source_spectra import SourceSpectra
 from casid.estimation.noise.thresholds import Steps
+from casid.estimation.noise.windowed_response import windowed_spectra
 from casid.estimation.simulation.simulation_error import SimulationError
 
 
@@ -102,3 +103,10 @@ def test_where_the_simulation_diverges_the_response_is_refused():
     x[[v.name for v in criterion.variables].index("c")] = -1e4
     with np.errstate(all="ignore"), pytest.raises(SolveError, match="diverges at these values"):
         noise_response.noise_response(criterion, x, 0)
+
+
+def test_a_response_that_overflows_within_a_window_is_refused():
+    """A state that a sample magnifies by 1e20 leaves every number behind within 20 samples."""
+    one = np.ones((1, 1))
+    with np.errstate(all="ignore"), pytest.raises(SolveError, match="within a window of 40"):
+        windowed_spectra((1e20 * one, one, one, one, one), 40, np.ones(1), np.array([0.5]))
