@@ -449,13 +449,10 @@ class _Search:
     def _responses(self, found: Mapping[str, DisturbanceSpectrum]) -> list[Response]:
         out = []
         for r, (_, Ts) in zip(self.noise.responses, self.records, strict=True):
-            assert r.gain is not None
             shapes = np.ones((len(r.omega), len(r.sources)))
             for name, spectrum in found.items():
                 shapes[:, r.sources.index(name)] = spectrum.at(r.omega, Ts)
-            gain2, gain = r.gain2 * shapes[:, None], r.gain * np.sqrt(shapes)[:, None]
-            cross = None if r.cross is None else r.cross * shapes[:, None, None]
-            out.append(replace(r, gain2=gain2, gain=gain, cross=cross))
+            out.append(r.reshaped(shapes))
         return out
 
     def _in_bands(self, spectra: Sequence[DisturbanceSpectrum]) -> Array:

@@ -72,6 +72,25 @@ class NoiseModel:
         """The noise with average responses, for parts of records that it was not found from."""
         return replace(self, varying=()) if self.varying else self
 
+    def under_spectra(
+        self, spectra: Mapping[str, DisturbanceSpectrum], data: Sequence[Signals]
+    ) -> NoiseModel:
+        """The noise with other frequencies and widths of its spectra, and the same variances.
+
+        Innovations along a path, `varying`, stay as they were.
+        """
+        moved = {n: s for n, s in spectra.items() if s != self.spectra[n]}
+        if not moved:
+            return self
+        responses = []
+        for r, d in zip(self.responses, data, strict=True):
+            ratios = np.ones((len(r.omega), len(r.sources)))
+            for name, spectrum in moved.items():
+                before = np.maximum(self.spectra[name].at(r.omega, d.Ts), TINY)
+                ratios[:, r.sources.index(name)] = spectrum.at(r.omega, d.Ts) / before
+            responses.append(r.reshaped(ratios))
+        return replace(self, responses=responses, spectra=dict(spectra))
+
     def variance_error(self, name: str) -> float:
         """Standard error of the variance of a source; 0 where it was not sought."""
         key: Variance = ("source", name)

@@ -44,6 +44,15 @@ class Response:
     gain: Array | None = None  # (F, ny, ns) complex, where several outputs are whitened together
     cross: Array | None = None  # (F, ny, ny, ns) spectra where they are no products of gains
 
+    def reshaped(self, shapes: Array) -> Response:
+        """The responses to sources whose spectra are times `shapes` (F, ns)."""
+        return replace(
+            self,
+            gain2=self.gain2 * shapes[:, None],
+            gain=None if self.gain is None else self.gain * np.sqrt(shapes)[:, None],
+            cross=None if self.cross is None else self.cross * shapes[:, None, None],
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:

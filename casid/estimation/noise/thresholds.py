@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from casid.threshold_table import threshold as _is
 
 _TEST = "tests/estimation/errors_in_variables/test_input_noise.py"
-_VARYING = "tests/estimation/noise/test_varying_variances.py"
+_VARYING = "tests/estimation/noise/test_varying_likelihood.py"
 _STATED = "tests/identification/test_stated_noise.py"
 _FAR = "tests/estimation/errors_in_variables/test_total_least_squares.py"
 

@@ -5,7 +5,7 @@ changes what a force or the noise of an input does, the residual that it leaves 
 stationary nor white under that, and passes for a function of what changed the response. A filter
 along the path (`varying_innovations`) is used in its place where the residual is likelier under it,
 at the same variances and spectra, or with the noise of the inputs in place of a force; variances
-under which it is not white are estimated anew (`varying_variances`).
+under which it is not white are estimated anew (`varying_likelihood`).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from casid.estimation.noise.noise_response import Steps, may_vary, multiplied_in
 from casid.estimation.noise.thresholds import VARYING_RESPONSE
 from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.noise.varying_innovations import smoothed_sources
-from casid.estimation.noise.varying_variances import (
+from casid.estimation.noise.varying_likelihood import (
     filters_along,
     is_white,
     weighted,
-    with_likeliest_variances,
+    with_likeliest_noise,
 )
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -72,8 +72,8 @@ def with_varying_response(
     if not found.varying:
         return noise
     left = _less_states_of_windows(found, criterion, residuals, states)
-    if not is_white(found, criterion.data, left):
-        found = with_likeliest_variances(found, path, criterion, left)
+    if found.spectra or not is_white(found, criterion.data, left):
+        found = with_likeliest_noise(found, path, criterion, left)
         least = _misfit(found, criterion, residuals, states)
     average = _misfit(noise, criterion, residuals, states)
     return found if least < average - VARYING_RESPONSE.likelier else noise
@@ -94,7 +94,7 @@ def followed_path(noise: NoiseModel, criterion: SimulationError, x: Array) -> No
     along = replace(noise, varying=filters)
     states = _tangents_of_states(criterion, x)
     left = _less_states_of_windows(along, criterion, residuals, states)
-    return with_likeliest_variances(along, steps, criterion, left)
+    return with_likeliest_noise(along, steps, criterion, left)
 
 
 def _varies(noise: NoiseModel, criterion: SimulationError) -> bool:

@@ -214,7 +214,8 @@ class Weighing:
         the disturbance above all: it is begun where all its parameters are declared to start, too.
         Where the response varies along the record, parameters by an average one are biased.
         """
-        yield from (shapes := [*self._shapes(found)])
+        shapes = [*self._shapes(found)]
+        yield from shapes
         yield from self._along_path(shapes[-1])
         c, x = found.criterion, found.fit.x
         declared, at_bounds = x.copy(), x.copy()
@@ -245,13 +246,14 @@ class Weighing:
         with contextlib.suppress(CasidError):
             for _ in range(PREWHITENING.rounds):
                 if (noise := followed_path(at.full, at.criterion, at.fit.x)) is None:
-                    return
+                    break
                 criterion = self.criterion(at.model, noise, at.fit.values, at.criterion)
                 fit = self.minimum(criterion)
                 value = _at_point(replace(at, fit=fit, noise=noise))
                 if not value < before - VARYING_RESPONSE.likelier:
-                    return
+                    break
                 at, before = self.estimated(fit, is_simple=True), value
+        if at is not found:
             yield at
 
     def likeliest_near(

@@ -12,12 +12,12 @@ import casid
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import multiplied_inputs, steps_along
 from casid.estimation.noise.variances import estimate_noise
-from casid.estimation.noise.varying_response import with_varying_response
-from casid.estimation.noise.varying_variances import (
+from casid.estimation.noise.varying_likelihood import (
     filters_along,
     is_white,
-    with_likeliest_variances,
+    with_likeliest_noise,
 )
+from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.simulation_error import SimulationError
 from tests.support import drawn_tank
 from tests.support.drawn_tank import FLOW, OUTPUT
@@ -85,7 +85,7 @@ def test_the_likeliest_variances_are_those_wherever_they_are_begun():
         return replace(noise, varying=filters_along(noise, steps) or ())
 
     ends = [
-        with_likeliest_variances(along(output * OUTPUT, flow * FLOW), steps, criterion, residuals)
+        with_likeliest_noise(along(output * OUTPUT, flow * FLOW), steps, criterion, residuals)
         # Next to them, and where all are a billion times too large, as a misfit leaves them.
         for output, flow in ((0.5, 2.0), (2.0, 0.5), (3e4, 3e4))
     ]

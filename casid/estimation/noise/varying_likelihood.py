@@ -1,28 +1,31 @@
-"""The likeliest variances of noise whose response changes along a record.
+"""The likeliest variances and spectra of noise whose response changes along a record.
 
 With e the innovation of each output at each sample, given all before, over its standard deviation
-s, minus the log-likelihood and Fisher's information of the logarithms of variances are
+s, minus the log-likelihood and Fisher's information of any parameters of the noise are
 
     sum e^2 / 2 + log s,    I_kl = E sum (de/dk) (de/dl) + (dlog s/dk) (dlog s/dl)            (1)
 
 (A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, section 3.4,
-where the information is in terms of innovations that are not divided by s). One more filter a
-variance gives the derivatives.
+where the information is in terms of innovations that are not divided by s). They are logarithms of
+variances, and of frequencies and widths of spectra; one more filter for each gives the derivatives.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from casid.arrays import TINY, Array, BoolArray
+from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.noise_model import NoiseModel, Variance
 from casid.estimation.noise.noise_response import Steps, joined_steps
+from casid.estimation.noise.source_spectra import SourceSpectra
 from casid.estimation.noise.thresholds import VARYING_RESPONSE
 from casid.estimation.noise.variances import known_sources
 from casid.estimation.noise.varying_innovations import (
+    Process,
     VaryingInnovations,
     process_of,
     varying_innovations,
@@ -75,15 +78,16 @@ def is_white(noise: NoiseModel, data: Sequence[Signals], residuals: Sequence[Arr
     )
 
 
-def with_likeliest_variances(
+def with_likeliest_noise(
     noise: NoiseModel,
     steps: Sequence[Steps],
     criterion: SimulationError,
     residuals: Sequence[Array],
 ) -> NoiseModel:
-    """The noise with the likeliest variances along a path, by Fisher scoring, and their errors.
+    """The noise with the likeliest variances and spectra along a path, by Fisher scoring.
 
-    Variances that are known stay, and those of sources that are too small to count.
+    Variances that are known stay, and those of sources that are too small to count. What a source
+    moves where the plant answers most is most of what the average response knows of its spectrum.
 
     Parameters
     ----------
@@ -94,23 +98,23 @@ def with_likeliest_variances(
     search = _Likelihood(noise, steps, criterion, residuals)
     none = np.zeros(0)
     z, at = minimum(search.at, search.start(), none, none)
-    found = search.scaled(z)
+    found = search.noise_at(z)
     filters = filters_along(found, steps)
     if filters is None:
         return noise
     size = np.sqrt(np.maximum(np.diag(at.information), TINY))
     inverse = np.linalg.pinv(at.information / np.outer(size, size), hermitian=True)
-    factor = search.variances(found) / size  # from logarithms of unit size
+    factor = np.exp(z) / size  # from logarithms of unit size
     covariance = {
         (a, b): float(factor[i] * inverse[i, j] * factor[j])
-        for i, a in enumerate(search.keys)
-        for j, b in enumerate(search.keys)
+        for a, i in search.variances.items()
+        for b, j in search.variances.items()
     }
     return replace(found, varying=filters, covariance={**found.covariance, **covariance})
 
 
 class _Likelihood:
-    """(1) over the logarithms of variances, relative to those to begin with."""
+    """(1) over the logarithms of variances and of the frequencies and widths of spectra."""
 
     def __init__(
         self,
@@ -119,50 +123,52 @@ class _Likelihood:
         criterion: SimulationError,
         residuals: Sequence[Array],
     ) -> None:
-        self.noise, self.data = noise, criterion.data
-        moving = [n for n, sd in noise.source_sd.items() if sd > 0.0]
-        joined = [joined_steps(s, noise.spectra) for s in steps]
-        self.processes = [process_of(s, moving, noise.spectra, noise.weights) for s in joined]
+        self.noise, self.steps, self.data = noise, steps, criterion.data
         self.columns = weighted(noise, self.data, residuals)
-        outputs, stated = criterion.outputs, known_sources(noise.known, criterion.model)
-        self.outputs = [i for i, n in enumerate(outputs) if n not in noise.known]
-        self.sources = [
-            n
-            for n in noise.source_sd
-            if n not in stated and noise.makes(n, VARYING_RESPONSE.noticeable, self.data)
-        ]
-        self.keys: list[Variance] = [("output", outputs[i]) for i in self.outputs]
-        self.keys += [("source", n) for n in self.sources]
+        stated = known_sources(noise.known, criterion.model)
+        held = {
+            n: sd
+            for n, sd in noise.source_sd.items()
+            if n in stated or not noise.makes(n, VARYING_RESPONSE.noticeable, self.data)
+        }
+        self.of = SourceSpectra(
+            criterion.outputs, noise.output_sd, noise.source_sd, noise.spectra, (noise.known, held)
+        )
+        # In which ratio a force acts in several balances is known from the average response.
+        self.free = [i for i, e in enumerate(self.of.entries) if e.kind != "ratio"]
+        # Place among the free ones of every variance.
+        self.variances: dict[Variance, int] = {}
+        for k, i in enumerate(self.free):
+            kind, name = self.of.entries[i].kind, self.of.entries[i].of
+            if kind in ("output", "source"):
+                self.variances["output" if kind == "output" else "source", name] = k
+        self._processes: tuple[Mapping[str, DisturbanceSpectrum], list[Process]] | None = None
 
-    def variances(self, noise: NoiseModel) -> Array:
-        """Variances that are estimated, in the order of `keys`."""
-        sds = [*noise.output_sd[self.outputs], *(noise.source_sd[n] for n in self.sources)]
-        return np.array(sds) ** 2
-
-    def scaled(self, z: Array) -> NoiseModel:
-        """The noise with its variances times exp(z)."""
-        output_sd = self.noise.output_sd.copy()
-        sds = np.sqrt(self.variances(self.noise) * np.exp(z))
-        output_sd[self.outputs] = sds[: len(self.outputs)]
-        moved = dict(zip(self.sources, sds[len(self.outputs) :].tolist(), strict=True))
-        source_sd = {**self.noise.source_sd, **moved}
-        return replace(self.noise, output_sd=output_sd, source_sd=source_sd)
+    def noise_at(self, z: Array) -> NoiseModel:
+        """The noise of these logarithms, with its innovations as they were."""
+        phi = self.of.start.copy()
+        phi[self.free] = z
+        white, scales, spectra = self.of.read(phi)
+        source_sd = {**self.noise.source_sd, **{n: float(np.sqrt(v)) for n, v in scales.items()}}
+        found = replace(self.noise, output_sd=np.sqrt(white), source_sd=source_sd)
+        return found.under_spectra({**self.noise.spectra, **spectra}, self.data)
 
     def start(self) -> Array:
-        """The variances to begin with, all times one factor where that is likelier.
+        """The noise to begin with, all variances times one factor where that is likelier.
 
         Under variances all times a factor, innovations are the same times the inverse of its root:
         the likeliest factor is their mean square (Harvey, section 3.4). It is the factor of all
         but those that are known.
         """
-        none = np.zeros(len(self.keys))
-        here = self._innovations(none)
+        z = self.of.start[self.free]
+        here = self._innovations(z)
         count = sum(int(d.used.sum()) for d in self.data)
         squares = sum(float(np.sum(e**2)) for e, _ in here)
         if not here or not squares > 0.0:
-            return none
-        there = none + np.log(squares / count)
-        return there if _value(self._innovations(there)) < _value(here) else none
+            return z
+        there = z.copy()
+        there[list(self.variances.values())] += np.log(squares / count)
+        return there if _value(self._innovations(there)) < _value(here) else z
 
     def at(self, z: Array) -> At:
         """Value, gradient and information at a point."""
@@ -185,18 +191,27 @@ class _Likelihood:
 
     def _innovations(self, z: Array) -> list[tuple[Array, Array]]:
         """e (N, ny) and -log s of each experiment; none where the filters diverge."""
-        at = self.scaled(z)
+        at = self.noise_at(z)
         sizes, out = (at.output_sd * at.weights, at.source_sd), []
         with np.errstate(all="ignore"):
             try:
                 for process, d, columns in zip(
-                    self.processes, self.data, self.columns, strict=True
+                    self._driven(at.spectra), self.data, self.columns, strict=True
                 ):
                     of = VaryingInnovations(process.under(*sizes), _where_missing(d))
                     out.append((of.whiten(columns)[:, :, 0], of.log_roots))
             except np.linalg.LinAlgError:
                 return []
         return out
+
+    def _driven(self, spectra: Mapping[str, DisturbanceSpectrum]) -> list[Process]:
+        """What sources of these spectra drive in each record; anew only where a spectrum moved."""
+        if self._processes is None or self._processes[0] != spectra:
+            moving = [n for n, sd in self.noise.source_sd.items() if sd > 0.0]
+            joined = [joined_steps(s, spectra) for s in self.steps]
+            found = [process_of(s, moving, spectra, self.noise.weights) for s in joined]
+            self._processes = spectra, found
+        return self._processes[1]
 
 
 def _where_missing(data: Signals) -> BoolArray | None:
