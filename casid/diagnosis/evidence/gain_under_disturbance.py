@@ -65,15 +65,15 @@ def gains_under_disturbance(
         added = [s[:, [plain.judged[effect]]] for s in signatures]
         return [np.hstack(pair) for pair in zip(tangent, added, strict=True)]
 
-    nothing = own.minus_log_likelihood(tangent, 1)
-    first = {i: nothing - own.minus_log_likelihood(beside(i), 1) for i in effects}
+    nothing = own.priced(tangent, 1)
+    first = {i: nothing - own.priced(beside(i), 1) for i in effects}
     yield from first.values()
     more = sorted(effects, key=lambda i: -first[i])
     more = [i for i in more if first[i] > DISTURBED.followed * passing]
     if more:
-        nothing = own.minus_log_likelihood(tangent, 2)
+        nothing = own.priced(tangent, 2)
     for i in more:
-        yield nothing - own.minus_log_likelihood(beside(i), 2)
+        yield nothing - own.priced(beside(i), 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,15 +85,16 @@ class _Residual:
     known: Mapping[str, float]
     under: NoiseModel
 
-    def minus_log_likelihood(self, columns: Sequence[Array], rounds: int) -> float:
+    def priced(self, columns: Sequence[Array], rounds: int) -> float:
         """Minus the log-likelihood where columns (M, n) of each record explain a part of it.
 
-        The disturbance is sought anew in what they leave; they, first under `under`, then under
-        that. Of a single round the disturbance is the model's, adjusted. The first columns are
-        those of the model's own unknowns.
+        And the price of the disturbance's spectra: beside an effect they may be others, with more
+        parameters. The disturbance is sought anew in what the columns leave; they, first under
+        `under`, then under that. Of a single round the disturbance is the model's, adjusted. The
+        first columns are those of the model's own unknowns.
         """
         bare, at, noise = self.bare, self.bare.criterion, self.under
-        least = minus_log_likelihood(bare)
+        least = minus_log_likelihood(bare) + bare.noise.price_of_shapes(at.n_samples)
         near = bare.noise.spectra if rounds == 1 else None
         shapes = [(d.N, len(at.weights)) for d in at.data]
         for _ in range(rounds):
@@ -106,7 +107,8 @@ class _Residual:
             noise = estimate_noise(at, x, known=self.known, residuals=of)
             noise = with_disturbance_spectra(noise, at, x, self.known, residuals=of, near=near)
             noise = with_varying_response(noise, at, x, self.known, residuals=of)
-            least = min(least, noise.minus_log_likelihood(of))
+            value = noise.minus_log_likelihood(of) + noise.price_of_shapes(at.n_samples)
+            least = min(least, value)
         return least
 
     def _step(self, noise: NoiseModel, columns: Sequence[Array]) -> Array:

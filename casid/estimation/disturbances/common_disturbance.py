@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -53,6 +54,10 @@ class Common:
     output_sd: Array
     source_sd: Mapping[str, float]
     spectra: Mapping[str, DisturbanceSpectrum]
+
+
+_Begun = tuple[Array, Mapping[str, float], Mapping[str, DisturbanceSpectrum]]
+"""Standard deviations of outputs and of sources, and spectra, that a search begins with."""
 
 
 def _common_of(found: Common) -> DisturbanceSpectrum | None:
@@ -126,10 +131,10 @@ class CommonSearch:
         first, *more = sorted(own, key=lambda n: -self._made_by(chosen, n))
         size, ratios = self._size(*pair), [sign * r for r in RATIOS for sign in (1.0, -1.0)]
         parts = [(Part(pair[0], 1.0), Part(pair[1], ratio * size)) for ratio in ratios]
-        best = min(
-            (self._from(chosen, replace(own[first], parts=p), others) for p in parts),
-            key=lambda c: c.criterion,
-        )
+        # From the likeliest ratio of each sign.
+        begun = [self._begun_with(chosen, replace(own[first], parts=p), others) for p in parts]
+        likeliest = [min(begun[k::2], key=self._value) for k in range(2)]
+        best = min((self.fitted(*b) for b in likeliest), key=lambda c: c.criterion)
         common = _common_of(best)
         if common is None:
             return best
@@ -160,7 +165,16 @@ class CommonSearch:
         spectrum: DisturbanceSpectrum,
         others: Mapping[str, DisturbanceSpectrum],
     ) -> Common:
-        """The best from a force in several balances, which takes the power of those in each."""
+        """The best from a force in several balances."""
+        return self.fitted(*self._begun_with(chosen, spectrum, others))
+
+    def _begun_with(
+        self,
+        chosen: NoiseModel,
+        spectrum: DisturbanceSpectrum,
+        others: Mapping[str, DisturbanceSpectrum],
+    ) -> _Begun:
+        """The noise with a force in several balances, which takes the power of those in each."""
         source_sd, name = self._begun(chosen), name_of_common(spectrum.parts)
         power = sum(self._made_by(chosen, p.place) for p in spectrum.parts)
         for place in (p.place for p in spectrum.parts):
@@ -169,7 +183,7 @@ class CommonSearch:
         of = joined(self.noise.responses[0], {name: spectrum})
         own = float(np.mean(of.gain2[:, :, -1] @ self.noise.weights**2))
         source_sd[name] = float(np.sqrt(max(power, TINY) / max(own, TINY)))
-        return self.fitted(chosen.output_sd, source_sd, {**others, name: spectrum})
+        return chosen.output_sd, source_sd, {**others, name: spectrum}
 
     def _begun(self, chosen: NoiseModel) -> dict[str, float]:
         """Standard deviations of the sources that a search begins with, none of them zero."""
@@ -195,28 +209,8 @@ class CommonSearch:
         spectra: Mapping[str, DisturbanceSpectrum],
     ) -> Common:
         """The likeliest variances, shapes and ratios from those given."""
-        sizes = {
-            (name, p.place): self._size(s.parts[0].place, p.place)
-            for name, s in spectra.items()
-            for p in s.parts[1:]
-        }
-        of = SourceSpectra(self.outputs, output_sd, source_sd, spectra, self.given, sizes)
-
-        def at(phi: Array) -> At:
-            """Whittle's likelihood of all records, with gradient and information, at phi."""
-            total = impossible(len(phi))
-            total.information[:], value = 0.0, 0.0
-            with np.errstate(all="ignore"):
-                for (power, count, r), Ts in zip(self._seen, self.sample_times, strict=True):
-                    part = of_spectra(phi, *of.at(phi, r, Ts), count, power)
-                    if part is None or not np.isfinite(part.value):
-                        return impossible(len(phi))
-                    value += part.value
-                    total.gradient[:] += part.gradient
-                    total.information[:] += part.information
-            return replace(total, value=value)
-
-        phi, none = of.start, np.zeros(0)
+        of, none = self._parametrised(output_sd, source_sd, spectra), np.zeros(0)
+        phi, at = of.start, partial(self._at, of)
         for damping in DAMPINGS:
             phi, there = minimum(at, phi, none, none, damping)
         white, scales, found = of.read(phi, there.information / TAPERED)
@@ -225,6 +219,38 @@ class CommonSearch:
         found = {n: s for n, s in found.items() if n in sd}
         value = there.value + self._price(found)
         return Common(value, np.sqrt(white), sd, found)
+
+    def _value(self, begun: _Begun) -> float:
+        """Minus the log-likelihood of variances, shapes and ratios as they are given."""
+        of = self._parametrised(*begun)
+        return self._at(of, of.start).value
+
+    def _parametrised(
+        self,
+        output_sd: Array,
+        source_sd: Mapping[str, float],
+        spectra: Mapping[str, DisturbanceSpectrum],
+    ) -> SourceSpectra:
+        sizes = {
+            (name, p.place): self._size(s.parts[0].place, p.place)
+            for name, s in spectra.items()
+            for p in s.parts[1:]
+        }
+        return SourceSpectra(self.outputs, output_sd, source_sd, spectra, self.given, sizes)
+
+    def _at(self, of: SourceSpectra, phi: Array) -> At:
+        """Whittle's likelihood of all records, with gradient and information, at phi."""
+        total = impossible(len(phi))
+        total.information[:], value = 0.0, 0.0
+        with np.errstate(all="ignore"):
+            for (power, count, r), Ts in zip(self._seen, self.sample_times, strict=True):
+                part = of_spectra(phi, *of.at(phi, r, Ts), count, power)
+                if part is None or not np.isfinite(part.value):
+                    return impossible(len(phi))
+                value += part.value
+                total.gradient[:] += part.gradient
+                total.information[:] += part.information
+        return replace(total, value=value)
 
     def _seen_at(self, of: SourceSpectra, phi: Array) -> set[str]:
         """The sources that are a share of some spectrum at some frequency."""

@@ -105,9 +105,8 @@ def with_disturbance_spectra(
         known=known,
         moved=_sensitivities(criterion, x),
         allowed=_Allowed(peaks=not is_simple, common=has_common),
-        near=near or {},
     )
-    found = searched(residuals, used)
+    found = searched(residuals, used, near=near or {})
     has_holes = [unbroken(u) is None for u in used]
     if any(has_holes) and min(float(u.mean()) for u in used) >= FILLED_FROM:
         # What a narrow band has at its peak leaks through gaps over all other frequencies, and its
@@ -115,9 +114,9 @@ def with_disturbance_spectra(
         rng = np.random.default_rng(0)
         found = replace(found, output_sd=np.minimum(found.output_sd, _rough(residuals, used)))
         there = [np.ones_like(u) if hole else u for u, hole in zip(used, has_holes, strict=True)]
-        for _ in range(FILLINGS):
+        for k in range(FILLINGS):
             whole = [found.filled(r, e, rng) for e, r in enumerate(residuals)]
-            found = searched(whole, there)
+            found = searched(whole, there, near=near or (found.spectra if k else {}))
     return found
 
 

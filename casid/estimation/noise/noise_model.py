@@ -68,6 +68,12 @@ class NoiseModel:
         """The sources with a variance that are no measured inputs."""
         return [name for name, sd in self.source_sd.items() if sd > 0.0 and name not in inputs]
 
+    def price_of_shapes(self, samples: int) -> float:
+        """Schwarz's penalty [units of log-likelihood] of the parameters of its spectra."""
+        shapes = self.spectra.values()
+        count = sum(1 + (s.damping is not None) + len(s.parts[1:]) for s in shapes)
+        return 0.5 * count * float(np.log(samples))
+
     def averaged(self) -> NoiseModel:
         """The noise with average responses, for parts of records that it was not found from."""
         return replace(self, varying=()) if self.varying else self

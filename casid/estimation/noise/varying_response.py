@@ -218,7 +218,8 @@ def _misfit(
     """Minus the log-likelihood; forces and their spectra are priced by Schwarz's criterion."""
     inputs = criterion.model.inputs
     forces = sum(sd > 0.0 and name not in inputs for name, sd in noise.source_sd.items())
-    price = 0.5 * (forces + len(noise.spectra)) * float(np.log(criterion.n_samples))
+    price = 0.5 * forces * float(np.log(criterion.n_samples))
+    price += noise.price_of_shapes(criterion.n_samples)
     return noise.minus_log_likelihood(residuals, states) + price
 
 
