@@ -217,7 +217,18 @@ def simulate_apart(
     on_clock: bool = False,
     near: Mapping[str, float] | None = None,
 ) -> tuple[Signals, Array, Array]:
-    """Simulate a record that was not fitted, its initial state estimated and nothing else.
+    """Simulate a record that was not fitted, `begun_apart`: signals, outputs (N, ny), states."""
+    return _simulated(*begun_apart(fit, experiment, on_clock=on_clock, near=near))
+
+
+def begun_apart(
+    fit: Fit,
+    experiment: Experiment,
+    *,
+    on_clock: bool = False,
+    near: Mapping[str, float] | None = None,
+) -> tuple[SimulationError, Array]:
+    """The criterion of a record that was not fitted, its initial state estimated and nothing else.
 
     Parameters
     ----------
@@ -226,8 +237,8 @@ def simulate_apart(
         may begin at it, and what the model says of the state that records begin in says nothing.
     """
     if has_windows(fit):
-        return _simulated(*in_windows(fit, experiment, on_clock=on_clock))
-    return _simulated(*_states_apart(fit, experiment, on_clock=on_clock, near=near))
+        return in_windows(fit, experiment, on_clock=on_clock)
+    return _states_apart(fit, experiment, on_clock=on_clock, near=near)
 
 
 def has_windows(fit: Fit) -> bool:

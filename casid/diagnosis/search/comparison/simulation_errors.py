@@ -20,13 +20,13 @@ from casid.diagnosis.thresholds import FORESIGHT, GROWTH, ROUNDS
 from casid.errors import SolveError
 from casid.estimation.holdout import (
     Split,
+    begun_apart,
     degrees_of_freedom,
     end_in_windows,
     error_per_window,
     has_windows,
     held_out_error,
     in_windows,
-    simulate_apart,
     whole_simulation,
     why_no_better,
     why_worse,
@@ -101,18 +101,25 @@ def simulation_errors(
     """
     if noise is not None and has_windows(fit):
         return _errors_in_windows(fit, split, units, noise)
-    noise = noise.averaged() if noise is not None else None  # the response of a path held out
-    whole = _whole_errors(fit, split, units, noise)
+    whole = _whole_errors(fit, split, units, _along_whole(noise, fit, split))
     inside = [error[~held] for error, held in zip(whole, split.held, strict=True)]
     ends = [error[held] for error, held in zip(whole, split.held, strict=True)]
     for experiment in split.apart:
-        d, y, _ = simulate_apart(fit, experiment)
-        ends.append(_errors(d, y, units, noise, 0))
+        apart, x = begun_apart(fit, experiment)
+        its = along_record(noise, apart, x) if noise is not None else None
+        ends.append(_errors(apart.data[0], apart.simulate(x, 0)[0], units, its, 0))
     restarted = np.zeros((0, len(units)))
     if noise is None and any(bool(held.any()) for held in split.held):
         again = held_out_error(fit, replace(split, apart=[]), anew=True)
         restarted = again / fit.criterion.weights * units
     return SimulationErrors(np.concatenate(inside), np.concatenate(ends), restarted)
+
+
+def _along_whole(noise: NoiseModel | None, fit: Fit, split: Split) -> NoiseModel | None:
+    """The noise for the fitted records to their ends, where a response that varies goes on to."""
+    if noise is None or not noise.varying:
+        return noise
+    return along_record(noise, fit.criterion.of_records(split.whole, start=fit.values), fit.x)
 
 
 def _errors_in_windows(fit: Fit, split: Split, units: Array, noise: NoiseModel) -> SimulationErrors:
