@@ -14,6 +14,7 @@ from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.instability import fewest_samples, window_for
 from casid.estimation.simulation.minimization import Fit, departures
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.thresholds import INSTABILITY
 from casid.identification.signs_from_simulation import is_poor
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
@@ -25,7 +26,9 @@ class ShortWindows:
 
     Attributes
     ----------
-    samples : of a window, the longest that tells of every unknown.
+    samples : of a window, the longest that tells of every unknown, and no longer than a few of
+        those over which the model follows the records: it diverges from them in longer ones, where
+        its fit is led far astray.
     values : the parameters of a fit in windows, by variable name; none where no fit was found.
     """
 
@@ -46,9 +49,12 @@ def short_windows(
     criterion : of whole records.
     start : where the fit begins, over the declared start.
     """
-    values = _values_in_windows(criterion, settings, say, start or {})
+    values, followed = _values_in_windows(criterion, settings, say, start or {})
     at = criterion.of_records(criterion.experiments, start=values)
-    return ShortWindows(_longest_informative_window(at, values), values)
+    longest = _longest_informative_window(at, values)
+    if followed:
+        longest = min(longest, INSTABILITY.followed * followed)
+    return ShortWindows(longest, values)
 
 
 def windowed_records(experiments: Sequence[Experiment], samples: int) -> list[Experiment]:
@@ -61,8 +67,10 @@ def _values_in_windows(
     settings: FitSettings,
     say: Callable[[str], None],
     start: Mapping[str, float],
-) -> dict[str, float]:
-    """The parameters of a fit in windows; none where none is found in the shortest.
+) -> tuple[dict[str, float], int]:
+    """The parameters of a fit in windows, and the samples of these if it is not poor, or 0.
+
+    No parameters where no fit is found in the shortest.
 
     In shorter ones where simulations leave the record, the fit ends where the model is stable, or
     it is poor: over long windows it has minima far from the truth, and over short ones what is
@@ -73,16 +81,16 @@ def _values_in_windows(
     while window >= fewest_samples(criterion):
         say(f"fit it in windows of {quantity_text(window * criterion.data[0].Ts, 's')}")
         cut, once = windowed_records(records, window), replace(settings, starts=1)
-        fit = tried(criterion.model, cut, once, start)
+        fit = tried(criterion.model, cut, once, start, is_trial=True)
         if fit is not None:
             named = zip(fit.criterion.variables, fit.x.tolist(), strict=True)
             found = {v.name: x for v, x in named if v.source in criterion.model.parameters}
             if window_for(criterion.of_records(records, start=found)):
                 values = found
                 if not is_poor(fit):
-                    break
+                    return values, window
         window //= 2
-    return values
+    return values, 0
 
 
 def _longest_informative_window(criterion: SimulationError, start: Mapping[str, float]) -> int:
@@ -108,10 +116,21 @@ def tried(
     experiments: Sequence[Experiment],
     settings: FitSettings,
     start: Mapping[str, float] | None = None,
+    *,
+    is_trial: bool = False,
 ) -> Fit | None:
-    """The fit of a model, or None where none is found."""
+    """The fit of a model, or None where none is found.
+
+    Parameters
+    ----------
+    is_trial : a poor one ends with the integration steps that it has.
+    """
+
+    def is_refined(fit: Fit) -> bool:
+        return not (is_trial and is_poor(fit))
+
     try:
-        return fit_model(model, experiments, settings, start=start)
+        return fit_model(model, experiments, settings, start=start, is_refined=is_refined)
     except OutOfTimeError:
         raise
     except CasidError:

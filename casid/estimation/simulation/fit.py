@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -57,6 +57,7 @@ def fit_model(
     check_rank: bool = True,
     throw: bool = True,
     substeps: int = 1,
+    is_refined: Callable[[Fit], bool] = lambda fit: True,
 ) -> Fit:
     """Minimise the simulation error, with as many Runge-Kutta substeps as the data need.
 
@@ -64,6 +65,7 @@ def fit_model(
     ----------
     weights : (ny,) of the outputs, as for `SimulationError`.
     substeps : that are tried first, where the settings leave them free.
+    is_refined : whether a fit with steps that are too long is made again with shorter ones.
 
     Raises
     ------
@@ -88,7 +90,8 @@ def fit_model(
                 constraints=settings.constraints,
                 check_rank=check_rank and fit is None,
             )
-            if fit.not_done or not (is_free and _steps_are_too_long(criterion, fit)):
+            is_done = fit.not_done or not (is_free and _steps_are_too_long(criterion, fit))
+            if is_done or not is_refined(fit):
                 break
         except OutOfTimeError:
             if fit is None:

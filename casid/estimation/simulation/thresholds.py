@@ -145,6 +145,12 @@ class Instability:
         "for each of their states",
         _WINDOWS,
     )
+    followed: int = _is(
+        4,
+        "times the window over which a fit follows a record, that windows are long at most: what "
+        "is missing has grown by then to what makes longer simulations leave the record",
+        _WINDOWS,
+    )
     instants: int = _is(
         50, "of a record at which the growth is looked at: as many as windows are usual", _WINDOWS
     )

@@ -60,7 +60,7 @@ def records_in_windows(
     if not window_for(criterion):
         return RecordsInWindows(split)
     say("the model is unstable: fit the whole record once")
-    whole = tried(model, split.fitted, replace(settings, starts=1))
+    whole = tried(model, split.fitted, replace(settings, starts=1), is_trial=True)
     if whole is not None and not (is_poor(whole) or _runs_away(whole, split)):
         return RecordsInWindows(split)
     windows = short_windows(criterion, settings, say)
