@@ -193,12 +193,21 @@ def predicts_held_out(found: Findings, remainder: Remainder | None) -> bool:
     A law that is valid in the fitted part alone leaves an error there that a small disturbance
     absorbs, and a large one in what was held out.
     """
-    beside = remainder.beside if remainder is not None else None
-    at = beside or found.at
-    if not found.adopted or at.unbiased is None:
-        return True
+    at = _beside(found, remainder)
+    return not found.adopted or at.unbiased is None or _is_predicted(found, at)
+
+
+def _beside(found: Findings, remainder: Remainder | None) -> Weighted:
+    """The last model, under a disturbance where one explains what it leaves."""
+    return (remainder.beside if remainder is not None else None) or found.at
+
+
+def _is_predicted(found: Findings, at: Weighted) -> bool:
+    """True if a model under a disturbance is seen to predict what was held out as it should."""
+    if at.unbiased is None or found.baseline.split.is_empty:
+        return False
     far = partial(unlike_under_disturbance, at, found.baseline.split)
-    return not found.search.attempts.attempt("the comparison with what was held out", far)
+    return found.search.attempts.attempt("the comparison with what was held out", far) == ""
 
 
 def errs_in_held_out_alone(found: Findings, judged: Judgement) -> bool:
@@ -249,6 +258,7 @@ def _remaining(
             is_of_inputs=_has_input_noise(found.at),
             chance=chance,
             held_out=over_floors(held) if part is fitted else {},
+            is_predicted=is_random and _is_predicted(found, _beside(found, remainder)),
         ),
         descriptions={(c.kind, c.where): c.description for c in causes},
     )

@@ -79,6 +79,7 @@ class NoiseFound:
     chance : output -> how far above the floor its error may be by chance (`chance_over_floor`).
     held_out : output -> the error of what was held out over its floor, where the errors that count
         are those of the fitted part.
+    is_predicted : what was held out is predicted, sample by sample, as well as what was fitted.
     """
 
     coloured: Mapping[str, str] = field(default_factory=dict)
@@ -87,6 +88,7 @@ class NoiseFound:
     is_of_inputs: bool = True
     chance: Mapping[str, float] = field(default_factory=dict)
     held_out: Mapping[str, float] = field(default_factory=dict)
+    is_predicted: bool = False
 
     def further_off(self, over: Mapping[str, float]) -> str:
         """The output that is `JUDGING.unlike` times as far off where it was held out, or empty.
@@ -273,10 +275,15 @@ def _kind_of_remainder(
     is_above = any(over[o] > noise.chance.get(o, 0.0) for o in above)
     far = noise.further_off(over) if noise.is_random else ""
     if far:
+        said = (
+            "sample by sample it is predicted there as well as where it was fitted, so the "
+            "disturbance makes it"
+            if noise.is_predicted
+            else "the disturbance was larger there, or the model does not hold there"
+        )
         return (
             " So much for the fitted part, whose remainder passes for a random disturbance; held "
-            f"out, the error of {far} is {noise.held_out[far]:.3g} times its noise floor: the "
-            "disturbance was larger there, or the model does not hold there."
+            f"out, the error of {far} is {noise.held_out[far]:.3g} times its noise floor: {said}."
         )
     if noise.is_random and (is_more or is_above):
         if noise.is_poor:

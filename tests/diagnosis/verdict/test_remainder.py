@@ -161,6 +161,15 @@ def test_a_fitted_part_that_is_explained_does_not_speak_for_a_held_out_one_that_
     assert ("not an error of the model" in r.sentence) is not is_said
 
 
+@pytest.mark.parametrize("is_predicted", [False, True])
+def test_a_large_error_that_its_past_predicts_is_the_disturbance(*, is_predicted: bool) -> None:
+    part = {"baseline_rmse": {"y": 1.0}, "extended_rmse": {}, "noise_floor": {"y": 1.0}}
+    noise = NoiseFound(is_random=True, held_out={"y": 3.2}, is_predicted=is_predicted)
+    r = what_remains([], part, p_value=0.5, noise=noise)
+    assert ("so the disturbance makes it" in r.sentence) is is_predicted
+    assert ("or the model does not hold there" in r.sentence) is not is_predicted
+
+
 def test_an_error_below_the_floor_is_no_negative_excess():
     part = {
         "baseline_rmse": {"gyro": 0.9},

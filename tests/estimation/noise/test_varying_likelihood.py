@@ -1,4 +1,4 @@
-"""Variances of noise along a path: of a tank whose draws last one sample each."""
+"""Variances and spectra of noise along a path: of a tank with short draws, and of a jacket."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import casid
+from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import multiplied_inputs, steps_along
 from casid.estimation.noise.variances import estimate_noise
@@ -19,7 +21,7 @@ from casid.estimation.noise.varying_likelihood import (
 )
 from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.simulation.simulation_error import SimulationError
-from tests.support import drawn_tank
+from tests.support import cooled_jacket, drawn_tank
 from tests.support.drawn_tank import FLOW, OUTPUT
 
 
@@ -108,6 +110,49 @@ def test_the_likeliest_variances_are_those_wherever_they_are_begun():
         fallen = beside.minus_log_likelihood(residuals) - least
         # Two standard errors: two units, and more where the others do not follow.
         assert 1.6 < fallen < 4.0
+
+
+@pytest.mark.parametrize("times", [0.3, 3.0])
+def test_the_spectrum_of_a_force_is_likelier_than_the_truth_by_chance_alone(times: float):
+    """Twice the gain over the true noise is chi-squared, by its three parameters (Wilks)."""
+    gains = []
+    for seed in range(4):
+        criterion, x, noise = jacket(seed)
+        residuals, steps = [criterion.simulated(x, 0).residual], [steps_along(criterion, x, 0)]
+        begun = replace(noise, spectra={"heat": DisturbanceSpectrum(times / cooled_jacket.MEMORY)})
+        filters = filters_along(begun, steps)
+        assert filters is not None
+        found = with_likeliest_noise(replace(begun, varying=filters), steps, criterion, residuals)
+        least = found.minus_log_likelihood(residuals)
+        gains.append(2 * (noise.minus_log_likelihood(residuals) - least))
+        # The average responses, which hold the shapes of the spectra, have them as well.
+        before, after = (n.responses[0].gain2[:, 0, -1] for n in (begun, found))
+        shapes = [
+            n.spectra["heat"].at(n.responses[0].omega, cooled_jacket.TS) for n in (begun, found)
+        ]
+        assert np.allclose(after * shapes[0], before * shapes[1])
+    assert min(gains) > -0.1  # where a step promises 0.02 units, the search ends
+    assert max(gains) < chi2.isf(1e-3 / len(gains), 3)
+
+
+def jacket(seed: int) -> tuple[SimulationError, np.ndarray, NoiseModel]:
+    """A record's criterion, the true unknowns, and the true noise along them."""
+    j = cooled_jacket
+    criterion = SimulationError(j.model(), [casid.Experiment(j.record(seed), {}, "r")])
+    true = {"V": j.VOLUME, "UA": j.UA, "T(0)": 310.0}
+    x = np.array([true[name] for name in criterion.names])
+    noise = estimate_noise(criterion, x)
+    noise = replace(
+        noise,
+        output_sd=np.array([j.OUTPUT]),
+        source_sd={**dict.fromkeys(noise.source_sd, 0.0), "heat": j.FORCE},
+        spectra={"heat": DisturbanceSpectrum(1 / j.MEMORY)},
+    )
+    return (
+        criterion,
+        x,
+        replace(noise, varying=filters_along(noise, [steps_along(criterion, x, 0)])),
+    )
 
 
 def test_an_input_that_is_added_leaves_the_slopes_alone():
