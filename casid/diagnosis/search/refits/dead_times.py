@@ -84,8 +84,8 @@ def _left(c: SimulationError, place: int, delay: float) -> float:
     for _ in range(DEAD_TIMES.steps):
         e = c.evaluate(x)
         value = float(e.value)
-        if not np.isfinite(value):
-            return np.nan
+        if not (np.isfinite(value) and np.all(np.isfinite(e.hessian))):
+            return np.nan  # it diverges from there, or its derivatives do
         step = _gauss_newton(e.hessian[np.ix_(others, others)], e.gradient[others])
         for shorter in (1.0, 0.5, 0.25):
             new = x.copy()
