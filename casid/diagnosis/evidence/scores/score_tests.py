@@ -437,19 +437,22 @@ def regressed(fit: Fit, own: str | None, effects: Sequence[Effect]) -> tuple[Arr
     Parameters
     ----------
     own : a parameter of the fit that is taken out, as in `scan`; None where there is none. A gain
-        is taken out of the simulation: under one of -1 no other gain of its channel does anything.
+        that takes most of its channel away is taken out of the simulation: under one of -1 no
+        other gain of the channel does anything.
     """
     base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
-    is_gain = any(e.is_new_gain for e in effects[:1])
-    x = without(wide, wide.start, [own]) if own is not None and is_gain else wide.start
+    x, is_out = wide.start, False
+    if own is not None and any(e.is_new_gain for e in effects[:1]):
+        is_out = fit.values[own] < SCORES.takes_away
+        x = without(wide, x, [own]) if is_out else x
     parts = [columns.of_record(x, k) for k in range(len(wide.data))]
     e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))
     parts.clear()
     rest = t_all
     if own is not None:
         mine = base.names.index(own)
-        e = e if is_gain else e + t_all[:, mine] * fit.x[mine]
+        e = e if is_out else e + t_all[:, mine] * fit.x[mine]
         rest = np.delete(t_all, mine, axis=1)
     rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
     q, _ = np.linalg.qr(rest)
