@@ -22,7 +22,7 @@ from casid.estimation.holdout import Split
 from casid.estimation.intervals.choice import Estimation, by_mask, undetermined_in
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.nlp.solver import as_solver
-from casid.estimation.noise.noise_response import places_of_forces
+from casid.estimation.noise.forces import places_of_forces
 from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.simulation.fit import FitSettings
 from casid.identification.disturbance_search import Disturbed, minimum_with, without

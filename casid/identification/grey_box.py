@@ -25,7 +25,7 @@ from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution, not_converged
 from casid.estimation.nlp.solver import Solver, as_solver
-from casid.estimation.noise.noise_response import unit_of_force
+from casid.estimation.noise.forces import unit_of_force
 from casid.estimation.prediction_error.extended_likelihood import (
     ExtendedOptions,
     ExtendedPredictionError,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casid.errors import ModelError, UnitError
-from casid.estimation.noise.noise_response import shown_force
+from casid.estimation.noise.forces import shown_force
 from casid.model.declarations import Parameter
 from casid.model.declared_units import unit_in_balance
 from casid.model.dimensions import check_units

@@ -22,8 +22,8 @@ from casid.data.record import with_samples
 from casid.errors import SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, parts_of
+from casid.estimation.noise.forces import name_of_force, with_forces
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import name_of_force, with_forces
 from casid.estimation.simulation.input_noise.input_noise import with_input_noise
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

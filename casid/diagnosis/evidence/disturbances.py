@@ -19,10 +19,10 @@ from casid.data.files import plain_fields
 from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, RESIDUAL
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.noise.forces import name_of_force, shown_force
 from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.noise.noise_floor import floor_error
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import name_of_force, shown_force
 from casid.estimation.noise.variances import estimate_noise
 from casid.model.model import Model
 from casid.model.quantities import quantity_text, quantity_texts

@@ -10,12 +10,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.noise.missing_samples import FILLED_FROM, unbroken
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import (
-    Response,
-    linearised_at,
-    may_vary,
-    noise_response,
-)
+from casid.estimation.noise.noise_response import Response, linearised_at, may_vary, noise_response
 from casid.estimation.noise.source_spectra import Lines, SourceSpectra, lines_of
 from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError

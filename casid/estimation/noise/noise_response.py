@@ -1,15 +1,10 @@
-"""Frequency responses of a simulated model to its sources of noise: inputs and forces.
-
-A force acts in a balance. Where outputs are more than balances, it may act in a stated rate as
-well: the height of a road moves the travel of a suspension, z' = v - (its rate), beside the body's
-speed. Whatever acts in one balance alone moves two outputs in proportion, frequency by frequency.
-"""
+"""Frequency responses of a simulated model to its sources of noise: inputs and `forces`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,16 +14,15 @@ from casid.arrays import Array
 from casid.errors import SolveError
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
 from casid.estimation.noise.filled_noise import noise_spectrum
+from casid.estimation.noise.forces import places_of_forces, with_forces
 from casid.estimation.noise.resolving_steps import fewest_steps
 from casid.estimation.noise.windowed_response import windowed_spectra
 from casid.estimation.simulation.channels.sensor_dynamics import prepared_inputs, through_sensor
 from casid.estimation.simulation.integration.band_limited import responses_between
 from casid.estimation.simulation.integration.simulator import band_limited, rk4_sample
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.declarations import Input
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
-from casid.model.units import difference_from_si, unit_quotient
 
 POINTS = 200
 """Samples of a record at which a model that is not linear is linearised."""
@@ -52,26 +46,6 @@ class Response:
             gain=None if self.gain is None else self.gain * np.sqrt(shapes)[:, None],
             cross=None if self.cross is None else self.cross * shapes[:, None, None],
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Steps:
-    """The simulation of one record from its noise sources on, linearised at every sample.
-
-    Attributes
-    ----------
-    a, c : (N, nx, nx), (N, ny, nx).
-    b0, b1 : (N, nx, ns) of the sources at a sample and at the next one.
-    d : (N, ny, ns).
-    """
-
-    sources: tuple[str, ...]
-    Ts: float
-    a: Array
-    b0: Array
-    b1: Array
-    c: Array
-    d: Array
 
 
 def noise_response(
@@ -156,31 +130,21 @@ def with_windowed_spectra(found: Response, cross: Array) -> Response:
 
 def joined(r: Response, spectra: Mapping[str, DisturbanceSpectrum]) -> Response:
     """The response with one more source for each force that acts in several balances."""
-    for name, parts in _of_several(r.sources, spectra):
+    for name, parts in of_several(r.sources, spectra):
         assert r.gain is not None
-        gain = np.concatenate([r.gain, _together(r.gain, r.sources, parts)], axis=2)
+        gain = np.concatenate([r.gain, together(r.gain, r.sources, parts)], axis=2)
         r = replace(r, sources=(*r.sources, name), gain=gain, gain2=np.abs(gain) ** 2)
     return r
 
 
-def joined_steps(steps: Steps, spectra: Mapping[str, DisturbanceSpectrum]) -> Steps:
-    """Steps of a simulation that is linearised at every sample, with the forces joined."""
-    for name, parts in _of_several(steps.sources, spectra):
-        b0, b1, d = (
-            np.concatenate([m, _together(m, steps.sources, parts)], axis=2)
-            for m in (steps.b0, steps.b1, steps.d)
-        )
-        steps = replace(steps, sources=(*steps.sources, name), b0=b0, b1=b1, d=d)
-    return steps
-
-
-def _of_several(
+def of_several(
     sources: Sequence[str], spectra: Mapping[str, DisturbanceSpectrum]
 ) -> list[tuple[str, tuple[Part, ...]]]:
+    """The forces that act in several places and are no source yet, and where they act."""
     return [(n, s.parts) for n, s in spectra.items() if s.parts and n not in sources]
 
 
-def _together(gains: Array, sources: Sequence[str], parts: Sequence[Part]) -> Array:
+def together(gains: Array, sources: Sequence[str], parts: Sequence[Part]) -> Array:
     """(.., rows, 1) by which one force enters in several places, of gains (.., rows, sources)."""
     return np.asarray(sum(p.ratio * gains[..., [sources.index(p.place)]] for p in parts))
 
@@ -191,12 +155,12 @@ def _entering(means: tuple[Array, ...], enters: Array) -> tuple[Array, Array, Ar
     What is band-limited enters as if straight lines joined it, and of stages the size alone counts.
     """
     a, b0, b1, inside, c, dd = means
-    b0, b1 = _on_lines(b0, b1, inside)
+    b0, b1 = on_lines(b0, b1, inside)
     direct = np.sqrt(np.mean(np.abs(enters) ** 2, axis=0))
     return a, b0 @ direct, b1 @ direct, c, dd @ direct
 
 
-def _on_lines(b0: Array, b1: Array, inside: Array) -> tuple[Array, Array]:
+def on_lines(b0: Array, b1: Array, inside: Array) -> tuple[Array, Array]:
     """How inputs enter at a sample and the next one, those in between joined by straight lines."""
     shares: Array = np.arange(1, len(inside) + 1) / (len(inside) + 1)
     shares = shares.reshape(-1, *[1] * (inside.ndim - 1))
@@ -222,7 +186,7 @@ def _mean_slopes(
     amplitude-dependent terms count by how often they are met.
     """
     d = criterion.data[experiment]
-    disturbed, e, _, is_constant = _linearised(criterion, d.Ts, 1)
+    disturbed, e, _, is_constant = linearised(criterion, d.Ts, 1)
     pick = linearised_at(d.N)
     if is_constant:
         states, pick = np.zeros((1, len(e.states))), pick[:1]
@@ -230,7 +194,9 @@ def _mean_slopes(
         states = criterion.simulate(x, experiment)[1][pick]
     elif states is None:  # kept: the residual comes from it as well
         states = criterion.simulated(x, experiment).x[pick]
-    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, d.u[pick], d.u[pick])
+    a, b0, b1, inside, c, dd = slopes_of_samples(
+        criterion, x, experiment, states, d.u[pick], d.u[pick]
+    )
     sizes = _gains(np.concatenate([b0, b1, *inside, dd]))
     nx, ny, between = len(e.states), len(e.outputs), len(inside)
     b0, b1, inside, dd = np.split(sizes, [nx, 2 * nx, len(sizes) - ny])
@@ -240,7 +206,7 @@ def _mean_slopes(
 
 def may_vary(criterion: SimulationError) -> bool:
     """True unless the model is linear and constant: then its response is the same all along."""
-    return not all(_linearised(criterion, d.Ts, 1)[3] for d in criterion.data)
+    return not all(linearised(criterion, d.Ts, 1)[3] for d in criterion.data)
 
 
 def multiplied_inputs(criterion: SimulationError) -> tuple[str, ...]:
@@ -256,43 +222,7 @@ def _multiplied(criterion: SimulationError) -> tuple[str, ...]:
     return tuple(name for name, is_met in zip(e.inputs, met, strict=True) if is_met)
 
 
-def steps_along(
-    criterion: SimulationError,
-    x: Array,
-    experiment: int,
-    off: Mapping[str, Array] | None = None,
-) -> Steps:
-    """The steps of a record at every sample.
-
-    What sensors and actuators do beyond expressions is left out.
-
-    Parameters
-    ----------
-    off : input -> (N,) by how much it was more than recorded, as far as is known.
-    """
-    d = criterion.data[experiment]
-    disturbed, e, *_ = _linearised(criterion, d.Ts, 1)
-    u = d.u.copy()
-    for name, more in (off or {}).items():
-        u[:, list(criterion.model.inputs).index(name)] += more
-    ahead = np.vstack([u[1:], u[-1:]])
-    states = criterion.simulated(x, experiment).x
-    a, b0, b1, inside, c, dd = _slopes(criterion, x, experiment, states, u, ahead)
-    # What a band-limited input does between its samples is taken as on a straight line here.
-    b0, b1 = _on_lines(b0, b1, inside)
-    a, b0, b1, c, dd = (np.ascontiguousarray(m.swapaxes(0, 1)) for m in (a, b0, b1, c, dd))
-    # What moved a state before does not reach the one in which the next window begins.
-    if criterion.is_cut(experiment):
-        before = criterion.starts_anew(experiment) - 1
-        a[before] = b0[before] = b1[before] = 0.0
-    forced = places_of_forces(criterion.model)
-    measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
-    of = [e.inputs.index(n) for n in measured]
-    of += range(len(e.inputs) - len(forced), len(e.inputs))
-    return Steps((*measured, *forced), d.Ts, a, b0[:, :, of], b1[:, :, of], c, dd[:, :, of])
-
-
-def _slopes(
+def slopes_of_samples(
     criterion: SimulationError, x: Array, experiment: int, states: Array, u: Array, u_next: Array
 ) -> tuple[Array, ...]:
     """Slopes (rows, points, columns) of a sample at states (points, nx): `_linearisation`'s.
@@ -305,7 +235,7 @@ def _slopes(
     """
     d, points = criterion.data[experiment], len(states)
     substeps = _substeps(criterion, x, experiment, states, u)
-    disturbed, e, slopes, _ = _linearised(criterion, d.Ts, substeps)
+    disturbed, e, slopes, _ = linearised(criterion, d.Ts, substeps)
     ni, parts = len(e.inputs), 2 * substeps
     here, ahead = (np.hstack([v, np.zeros((points, ni - v.shape[1]))]) for v in (u, u_next))
     banded = [e.inputs.index(name) for name in band_limited(disturbed)]
@@ -357,7 +287,7 @@ def _substeps(
     Ts, most = criterion.data[experiment].Ts, criterion.substeps
 
     def chosen() -> int:
-        model, *_ = _linearised(criterion, Ts, 1)
+        model, *_ = linearised(criterion, Ts, 1)
         e, least = model.explicit(), 3 if band_limited(model) else 1
         if most <= least:
             return most
@@ -375,7 +305,7 @@ def _substeps(
     return found
 
 
-def _linearised(
+def linearised(
     criterion: SimulationError, Ts: float, substeps: int
 ) -> tuple[Model, Explicit, Any, bool]:
     """The `_linearisation` of a model, built once."""
@@ -461,48 +391,3 @@ def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int
         out[:, criterion.outputs.index(stage.channel)] *= back * rfft(y)
     sizes = criterion.data[experiment].sizes
     return out if sizes is None else out * np.mean(1 / sizes, axis=0)
-
-
-def places_of_forces(model: Model) -> tuple[str, ...]:
-    """The balances; with more outputs than these, the states of stated rates, too."""
-    if len(model.outputs) <= max(len(model.balances), 1):
-        return tuple(model.balances)
-    taken = {*model.balances, *model.inputs, *model.outputs}
-    rates = [n for n in model._rates if n not in taken and not model.states[n].is_added]
-    return (*model.balances, *rates)
-
-
-def unit_of_force(model: Model, place: str) -> str:
-    """The unit of what acts in a balance, beside an input, or in the rate of a state."""
-    if place in model.balances:
-        return model.balances[place].unit
-    if place in model.inputs:
-        return model.inputs[place].unit
-    return unit_quotient(model.states[place].unit, "s")
-
-
-def shown_force(model: Model, place: str, size: float) -> tuple[float, str]:
-    """The size of what acts there, given in SI, and its unit as the model declares it."""
-    unit = unit_of_force(model, place)
-    if place in model.balances:
-        unit = model.balances[place].shown_unit
-    elif place in model.inputs:
-        unit = model.unit_of(place)
-    return float(difference_from_si(size, unit)), unit
-
-
-def name_of_force(place: str) -> str:
-    """The input that `with_forces` adds for a place."""
-    return f"disturbance of {place}"
-
-
-def with_forces(model: Model, places: Sequence[str], kind: Literal["measured", "unknown"]) -> Model:
-    """A copy with one more input in each of these balances and rates, in their order."""
-    new = model.copy()
-    for place in places:
-        w = new.add_input(Input(name_of_force(place), unit_of_force(model, place), kind))
-        if place in model.balances:
-            new.add_term(place, w)
-        else:
-            new.add_rate(place, w)
-    return new

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
 from casid.arrays import TINY, Array, BoolArray, require_finite
+from casid.estimation.noise.forces import name_of_force
 from casid.estimation.noise.noise_model import NoiseModel, Variance
-from casid.estimation.noise.noise_response import Response, name_of_force, noise_response
+from casid.estimation.noise.noise_response import Response, noise_response
 from casid.estimation.noise.residual_periodograms import (
     Spectra,
     restricted,

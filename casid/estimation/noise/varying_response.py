@@ -18,7 +18,7 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import Steps, may_vary, multiplied_inputs, steps_along
+from casid.estimation.noise.noise_response import may_vary, multiplied_inputs
 from casid.estimation.noise.thresholds import VARYING_RESPONSE
 from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.noise.varying_innovations import smoothed_sources
@@ -28,7 +28,9 @@ from casid.estimation.noise.varying_likelihood import (
     weighted,
     with_likeliest_noise,
 )
+from casid.estimation.noise.varying_steps import Steps, steps_along
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.declarations import Stage
 
 
 def with_varying_response(
@@ -42,10 +44,10 @@ def with_varying_response(
     """The noise at `x` with the innovations of a response that varies, where it is seen to.
 
     The same as given of a model that is linear and constant, but in windows, where whatever moves
-    the plant begins anew; with delays and lags beside its equations; and of inputs that are filled
-    between their samples. Where the input of a product is noisy, its average response may fit the
-    residual less well than that of a force: noise of the inputs alone, at the floors of their
-    channels, is what such forces are compared with.
+    the plant begins anew; with delays and clippings beside its equations, or noise that passes an
+    actuator; and of inputs that are filled between their samples. Where the input of a product is
+    noisy, its average response may fit the residual less well than that of a force: noise of the
+    inputs alone, at the floors of their channels, is what such forces are compared with.
 
     Parameters
     ----------
@@ -101,9 +103,14 @@ def _varies(noise: NoiseModel, criterion: SimulationError) -> bool:
     """Whether what noise moves may vary along a record that a filter can follow."""
     is_cut = any(criterion.is_cut(e) for e in range(len(criterion.data)))
     is_moved = any(sd > 0.0 for sd in noise.source_sd.values())
-    is_followed = criterion.segments == 1 and not criterion.model.stages
-    is_followed = is_followed and not any(d.filled for d in criterion.data)
+    is_followed = criterion.segments == 1 and not any(d.filled for d in criterion.data)
+    is_followed = is_followed and all(_is_followed(s, noise) for s in criterion.model.stages)
     return is_moved and is_followed and (is_cut or may_vary(criterion))
+
+
+def _is_followed(stage: Stage, noise: NoiseModel) -> bool:
+    """Whether the steps of a record hold what a stage does to noise (`varying_steps`)."""
+    return stage.kind == "lag" or (stage.is_of_input and not noise.source_sd.get(stage.channel))
 
 
 def along_record(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:

@@ -23,7 +23,7 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import DataError, ModelError, nearest
-from casid.estimation.noise.noise_response import shown_force, unit_of_force
+from casid.estimation.noise.forces import shown_force, unit_of_force
 from casid.linear.filtering.noisy_model import White
 from casid.model.model import Model
 from casid.model.units import is_si, parse_unit, unit_quotient

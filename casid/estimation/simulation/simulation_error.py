@@ -350,16 +350,19 @@ class SimulationError:
 
     def _prepared_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
         """The input columns as they act, and those that carry the tangents of what was done."""
-        stages = [s for s in self.model.stages if s.is_of_input]
-        if not stages and d is self.data[experiment]:
+        if d is self.data[experiment] and not any(s.is_of_input for s in self.model.stages):
             of, wide = self._courses.get(experiment, (None, d.u))
             if of is not d.u:
                 wide = self._simulators[d.Ts].with_courses(d.u)
                 self._courses[experiment] = d.u, wide
             return wide
-        values = {n: self.value_of(n, x, experiment) for s in stages for n in s.parameters}
-        u = prepared_inputs(self.model, d.u, values, d.Ts, stages, self._rest.inputs)
-        return self._simulators[d.Ts].with_courses(u)
+        return self._simulators[d.Ts].with_courses(self.acting_inputs(x, experiment, d))
+
+    def acting_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
+        """(N, nu) the inputs as they act on the model, behind what sensors and actuators do."""
+        names = [n for s in self.model.stages if s.is_of_input for n in s.parameters]
+        at = {n: self.value_of(n, x, experiment) for n in names}
+        return prepared_inputs(self.model, d.u, at, d.Ts, rest=self._rest.inputs)
 
     def value_of(self, name: str, x: Array, experiment: int) -> float:
         """The value of one parameter in an experiment, at `x`."""

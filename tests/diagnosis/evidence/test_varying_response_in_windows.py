@@ -15,7 +15,7 @@ from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
 from casid.diagnosis.search.comparison.simulation_errors import simulation_errors
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, split_records
-from casid.estimation.noise.noise_response import steps_along
+from casid.estimation.noise.varying_steps import steps_along
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 

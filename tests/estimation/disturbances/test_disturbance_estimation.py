@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 import casid
 from casid.estimation.disturbances.disturbance_estimation import FINER, with_disturbance_spectra
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise.noise_response import places_of_forces
+from casid.estimation.noise.forces import places_of_forces
 from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.rate_laws import with_balances

@@ -15,6 +15,7 @@ from casid.estimation.noise.model_spectra import ModelSpectra
 from casid.estimation.noise.noise_response import Response, with_windowed_spectra
 from casid.estimation.noise.source_spectra import SourceSpectra
 from casid.estimation.noise.thresholds import Steps
+from casid.estimation.noise.varying_steps import steps_along
 from casid.estimation.noise.windowed_response import windowed_spectra
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -62,9 +63,9 @@ def test_a_sample_is_linearised_over_so_few_steps_that_its_slopes_are_those_of_a
     d, x = criterion.data[0], criterion.start
     states = criterion.simulated(x, 0).x
     assert noise_response._substeps(criterion, x, 0, states, d.u) <= 2
-    few = noise_response.steps_along(criterion, x, 0)
+    few = steps_along(criterion, x, 0)
     monkeypatch.setattr(resolving_steps, "STEPS", Steps(resolved=0.0))
-    whole = noise_response.steps_along(spring(), x, 0)
+    whole = steps_along(spring(), x, 0)
     assert few.a == pytest.approx(whole.a, abs=10 * 1e-4 * np.max(np.abs(whole.a)))
     assert not np.array_equal(few.a, whole.a)
 

@@ -12,13 +12,13 @@ import pytest
 from casid.compiler import compiler
 from casid.estimation.noise import varying_innovations as varying
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise.noise_response import Steps
 from casid.estimation.noise.varying_innovations import (
     PartialVarying,
     VaryingInnovations,
     smoothed_sources,
     varying_innovations,
 )
+from casid.estimation.noise.varying_steps import Steps
 from casid.estimation.simulation.integration import machine_code
 
 N, TS = 40, 0.5

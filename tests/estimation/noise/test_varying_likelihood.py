@@ -12,7 +12,7 @@ from scipy.stats import chi2
 import casid
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import multiplied_inputs, steps_along
+from casid.estimation.noise.noise_response import multiplied_inputs
 from casid.estimation.noise.variances import estimate_noise
 from casid.estimation.noise.varying_likelihood import (
     filters_along,
@@ -20,6 +20,7 @@ from casid.estimation.noise.varying_likelihood import (
     with_likeliest_noise,
 )
 from casid.estimation.noise.varying_response import with_varying_response
+from casid.estimation.noise.varying_steps import steps_along
 from casid.estimation.simulation.simulation_error import SimulationError
 from tests.support import cooled_jacket, drawn_tank
 from tests.support.drawn_tank import FLOW, OUTPUT
