@@ -20,7 +20,9 @@ from casid.diagnosis.thresholds import DISTURBED
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.variances import estimate_noise
+from casid.estimation.noise.varying_likelihood import with_likeliest_noise
 from casid.estimation.noise.varying_response import with_varying_response
+from casid.estimation.noise.varying_steps import Steps
 from casid.estimation.simulation.fit import within_bounds
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -58,7 +60,8 @@ def gains_under_disturbance(
     """
     parts = [plain.of_record(plain.wide.start, e) for e in range(len(plain.wide.data))]
     residual, tangent, signatures = ([part[i] for part in parts] for i in range(3))
-    own = _Residual(bare, residual, known, bare.noise if under is None else under)
+    path = [v.steps for v in bare.noise.varying if v.steps is not None]
+    own = _Residual(bare, residual, known, bare.noise if under is None else under, path)
 
     def beside(effect: int) -> list[Array]:
         """The columns of the model's own unknowns and of the effect, of each record."""
@@ -78,12 +81,16 @@ def gains_under_disturbance(
 
 @dataclass(frozen=True, slots=True)
 class _Residual:
-    """The residual of a model under a disturbance: (M,) weighted, of each record."""
+    """The residual of a model under a disturbance: (M,) weighted, of each record.
+
+    A disturbance that is followed along a path keeps its places and the kind of its spectra.
+    """
 
     bare: Weighted
     parts: Sequence[Array]
     known: Mapping[str, float]
     under: NoiseModel
+    path: Sequence[Steps] = ()
 
     def priced(self, columns: Sequence[Array], rounds: int) -> float:
         """Minus the log-likelihood where columns (M, n) of each record explain a part of it.
@@ -103,10 +110,13 @@ class _Residual:
                 (r - c @ step).reshape(shape) / at.weights
                 for r, c, shape in zip(self.parts, columns, shapes, strict=True)
             ]
-            x = within_bounds(at, bare.fit.x + step[: len(bare.fit.x)])
-            noise = estimate_noise(at, x, known=self.known, residuals=of)
-            noise = with_disturbance_spectra(noise, at, x, self.known, residuals=of, near=near)
-            noise = with_varying_response(noise, at, x, self.known, residuals=of)
+            if self.path:
+                noise = with_likeliest_noise(bare.noise, self.path, at, of)
+            else:
+                x = within_bounds(at, bare.fit.x + step[: len(bare.fit.x)])
+                noise = estimate_noise(at, x, known=self.known, residuals=of)
+                noise = with_disturbance_spectra(noise, at, x, self.known, residuals=of, near=near)
+                noise = with_varying_response(noise, at, x, self.known, residuals=of)
             value = noise.minus_log_likelihood(of) + noise.price_of_shapes(at.n_samples)
             least = min(least, value)
         return least

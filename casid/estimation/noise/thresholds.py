@@ -169,6 +169,9 @@ class VaryingResponse:
         _VARYING,
         "the normal distribution: 1 of 370 by chance",
     )
+    corners: int = _is(
+        3, "frequencies that the search for the spectrum of a force begins at", _VARYING
+    )
     difference: float = _is(
         1e-4,
         "change of the logarithm of a variance over which innovations are differentiated",

@@ -25,7 +25,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from casid.arrays import Array, BoolArray
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise.varying_steps import Steps
+from casid.estimation.noise.varying_steps import Steps, joined_steps
 from casid.estimation.simulation.integration.machine_code import MachineCode
 
 INTERPRETED = 6
@@ -78,6 +78,8 @@ class VaryingInnovations:
     Parameters
     ----------
     used : (N, n) the samples that there are, default all. Those of the others are zero.
+    steps : of the simulation that the process is from, for those who seek other variances or
+        spectra along the same path.
 
     Raises
     ------
@@ -85,8 +87,10 @@ class VaryingInnovations:
         If the covariance of a sample is not positive definite.
     """
 
-    def __init__(self, process: Process, used: BoolArray | None = None) -> None:
-        self.process, self._used = process, used
+    def __init__(
+        self, process: Process, used: BoolArray | None = None, steps: Steps | None = None
+    ) -> None:
+        self.process, self._used, self.steps = process, used, steps
         seen = process
         if used is not None:  # what is missing shows nothing, and has one unit of white noise
             at = used[:, :, None]
@@ -286,9 +290,10 @@ def varying_innovations(
     numpy.linalg.LinAlgError
         If the covariance of a sample is not positive definite.
     """
-    moving = [n for n in steps.sources if source_sd.get(n, 0.0) > 0.0]
-    process = process_of(steps, moving, spectra, weights)
-    return VaryingInnovations(process.under(output_sd * weights, source_sd), used)
+    joined = joined_steps(steps, spectra)
+    moving = [n for n in joined.sources if source_sd.get(n, 0.0) > 0.0]
+    process = process_of(joined, moving, spectra, weights)
+    return VaryingInnovations(process.under(output_sd * weights, source_sd), used, steps)
 
 
 def process_of(

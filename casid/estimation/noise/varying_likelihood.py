@@ -48,10 +48,7 @@ def filters_along(
     used = [_where_missing(d) for d in data] or [None] * len(steps)
     with np.errstate(all="ignore"):
         try:
-            return [
-                varying_innovations(joined_steps(s, noise.spectra), *of, used=u)
-                for s, u in zip(steps, used, strict=True)
-            ]
+            return [varying_innovations(s, *of, used=u) for s, u in zip(steps, used, strict=True)]
         except np.linalg.LinAlgError:
             return None
 
@@ -111,6 +108,61 @@ def with_likeliest_noise(
         for b, j in search.variances.items()
     }
     return replace(found, varying=filters, covariance={**found.covariance, **covariance})
+
+
+def with_spectra_along(
+    noise: NoiseModel,
+    steps: Sequence[Steps],
+    criterion: SimulationError,
+    residuals: Sequence[Array],
+) -> NoiseModel:
+    """The noise with spectra of first order for white forces, where it is likelier by Schwarz.
+
+    One force after another, the one that gains most first; parameters as of `with_likeliest_noise`.
+    """
+    data, places = criterion.data, criterion.model.balances
+    least, found = _priced(noise, criterion, residuals), noise
+    while True:
+        white = [
+            name
+            for name in places
+            if name not in found.spectra and found.makes(name, VARYING_RESPONSE.noticeable, data)
+        ]
+        begun = [_coloured(found, n, w, data) for n in white for w in _corners(criterion)]
+        tried = []
+        for one in begun:
+            if (filters := filters_along(one, steps)) is None:
+                continue
+            along = replace(one, varying=filters)
+            tried.append(with_likeliest_noise(along, steps, criterion, residuals))
+        values = [_priced(one, criterion, residuals) for one in tried]
+        if not values or not min(values) < least:
+            return found
+        least, found = min(values), tried[int(np.argmin(values))]
+
+
+def _corners(criterion: SimulationError) -> list[float]:
+    """Frequencies [rad/s] that the search for a spectrum begins at: a window is to hold several."""
+    e = int(np.argmin([d.Ts for d in criterion.data]))
+    d = criterion.data[e]
+    longest = int(np.max(np.diff([0, *criterion.starts_anew(e), d.N]))) * d.Ts
+    ends = 2 * np.pi / longest, 0.5 * np.pi / d.Ts
+    return [float(w) for w in np.geomspace(*ends, VARYING_RESPONSE.corners + 2)[1:-1]]
+
+
+def _coloured(noise: NoiseModel, name: str, w: float, data: Sequence[Signals]) -> NoiseModel:
+    """The noise with one force of first order, as strong at low frequencies as it was white."""
+    share = float(np.exp(-w * min(d.Ts for d in data)))
+    sd = noise.source_sd[name] * np.sqrt((1 - share) / (1 + share))
+    white = replace(noise, spectra={**noise.spectra, name: DisturbanceSpectrum(np.inf)})
+    coloured = white.under_spectra({**noise.spectra, name: DisturbanceSpectrum(w)}, data)
+    alike = noise.alike if (name,) in noise.alike else (*noise.alike, (name,))
+    return replace(coloured, source_sd={**noise.source_sd, name: float(sd)}, alike=alike)
+
+
+def _priced(noise: NoiseModel, criterion: SimulationError, residuals: Sequence[Array]) -> float:
+    price = noise.price_of_shapes(criterion.n_samples)
+    return noise.minus_log_likelihood(residuals) + price
 
 
 class _Likelihood:

@@ -27,6 +27,7 @@ from casid.estimation.noise.varying_likelihood import (
     is_white,
     weighted,
     with_likeliest_noise,
+    with_spectra_along,
 )
 from casid.estimation.noise.varying_steps import Steps, steps_along
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -40,6 +41,7 @@ def with_varying_response(
     known: Mapping[str, float],
     *,
     residuals: Sequence[Array] | None = None,
+    seeks_spectra: bool = False,
 ) -> NoiseModel:
     """The noise at `x` with the innovations of a response that varies, where it is seen to.
 
@@ -53,6 +55,8 @@ def with_varying_response(
     ----------
     known : channel -> standard deviation of its white noise, where it is known.
     residuals : (N, ny) an experiment, default those at `x`.
+    seeks_spectra : whether forces that are white may get spectra along the path. Average spectra
+        hardly show what moves an unstable plant for the length of a window.
     """
     records = range(len(criterion.data))
     if not _varies(noise, criterion):
@@ -74,8 +78,12 @@ def with_varying_response(
     if not found.varying:
         return noise
     left = _less_states_of_windows(found, criterion, residuals, states)
+    before = found
     if found.spectra or not is_white(found, criterion.data, left):
         found = with_likeliest_noise(found, path, criterion, left)
+    if seeks_spectra:
+        found = with_spectra_along(found, path, criterion, left)
+    if found is not before:
         least = _misfit(found, criterion, residuals, states)
     average = _misfit(noise, criterion, residuals, states)
     return found if least < average - VARYING_RESPONSE.likelier else noise

@@ -22,9 +22,8 @@ def test_a_force_passes_a_sensor_that_lags_as_in_the_frequency_response(lag: flo
     still = {n: np.full_like(v, v.mean()) for n, v in record.channels.items() if n != "T"}
     still = casid.Record({**record.channels, **still}, record.units, Ts=jacket.TS)
     criterion = SimulationError(model, [casid.Experiment(still, {}, "r")])
-    x = np.array(
-        [lag if name == names[0] else v for name, v in zip(criterion.names, criterion.start)]
-    )
+    x = criterion.start.copy()
+    x[criterion.names.index(names[0])] = lag
     expected = noise_response(criterion, x, 0)
     steps = steps_along(criterion, x, 0)
     k, source = 500, steps.sources.index("heat")

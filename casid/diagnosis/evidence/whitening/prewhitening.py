@@ -412,7 +412,9 @@ class Weighing:
         c, x, known = fit.criterion, fit.x, self.known_noise
         if self.takes_disturbances:
             found = with_disturbance_spectra(found, c, x, known, is_simple=is_simple, near=near)
-        return found if is_far else with_varying_response(found, c, x, known)
+        if is_far:
+            return found
+        return with_varying_response(found, c, x, known, seeks_spectra=self.takes_disturbances)
 
     def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
         """Another model under the noise and the weights of one that was judged."""
