@@ -96,18 +96,20 @@ def weighed_against_disturbances(
     """The likeliest explanation with disturbances: its search, model without causes, and causes.
 
     Those given where nothing looks like a disturbance, or a bound holds a parameter under a
-    disturbance, too, which leaves misfit of its own.
+    disturbance, too, which leaves misfit of its own. Where one shows only beside the first cause,
+    the later ones alone are compared with it.
 
     Parameters
     ----------
     before : a search beside the disturbances of the model as it is, if there was one.
     """
     base, start, split = baseline.fit, baseline.start, baseline.split
-    held = bool(base.solution.active)
+    held, again = bool(base.solution.active), search.with_disturbances()
     if not start.noise_absorbs_misfit and (found.adopted or not held_beyond_chance(start.fit)):
+        if any(_is_found_beside_misfit(a) for a in found.adopted[1:]):
+            found = without_replaceable(again, found, baseline, search, settings)
         return search, start, found
     settings.progress("compare what was found with a random disturbance in its place")
-    again = search.with_disturbances()
     bare = search.under_disturbance(base)
     score_of = partial(_score, search=search, counted=bare.criterion)
     if minus_log_likelihood(bare) > as_white(base):
@@ -155,6 +157,11 @@ def weighed_against_disturbances(
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
         return search, start, Adoption((), start, None)
     return search, start, found
+
+
+def _is_found_beside_misfit(cause: Adopted) -> bool:
+    """True of a cause found where the noise held misfit, which the causes before it had hidden."""
+    return cause.before is not None and cause.before.noise_absorbs_misfit
 
 
 def takes_place_of(
