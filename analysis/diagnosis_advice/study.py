@@ -35,7 +35,8 @@ from casid.arrays import Array
 from casid.diagnosis.advice.isolability import likeness, separation_energy
 from casid.diagnosis.advice.next_experiment import Advice, Suspect, next_experiment
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable, score_test
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import PLANNING
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.noise_response import noise_response

@@ -39,7 +39,8 @@ from casid.diagnosis.evidence.scores.score_tests import ScoreTable, scores_of, s
 from casid.diagnosis.evidence.scores.signature_columns import Columns, extended_columns
 from casid.diagnosis.evidence.whitening.fit_points import use_samples_of
 from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.evidence.whitening.white_floors import not_below
 from casid.diagnosis.thresholds import DISTURBED, PEAKS
 from casid.errors import CasidError, DataError

@@ -14,7 +14,8 @@ from collections.abc import Callable
 import numpy as np
 
 import casid
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 Force = Callable[[float, float, float, float], float]  # x, v, speed, t -> N

@@ -18,7 +18,7 @@ from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError
 from casid.estimation.simulation.integration.simulator import Simulator

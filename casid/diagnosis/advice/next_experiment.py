@@ -26,7 +26,7 @@ from casid.diagnosis.advice.isolability import (
 )
 from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable, score_test
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError, DataError, OutOfTimeError

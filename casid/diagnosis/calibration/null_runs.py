@@ -11,7 +11,7 @@ import numpy as np
 from casid.campaigns.problem_origin import ProblemOrigin
 from casid.data.problem import Problem
 from casid.diagnosis.calibration.null_records import NullRecords, Recipe, null_noise
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import CALIBRATING
 from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
 from casid.errors import CasidError

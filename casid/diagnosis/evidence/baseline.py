@@ -34,8 +34,9 @@ from casid.diagnosis.evidence.records.sufficiency import (
     why_uninformative,
 )
 from casid.diagnosis.evidence.records.unstable_records import records_in_windows
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.evidence.whitening.robust_errors import std_error
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from casid.data.files import plain_fields
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, RESIDUAL
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.forces import name_of_force, shown_force

@@ -15,7 +15,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.scores.signature_columns import Columns
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.thresholds import DISTURBED
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.noise.noise_model import NoiseModel

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from casid.arrays import TINY
 from casid.diagnosis.evidence.scores.score_tests import Score
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.errors import ModelError
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect

@@ -9,7 +9,7 @@ from functools import partial
 from casid.data.problem import Problem
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.adoption.promotion import with_likelier_rivals
 from casid.diagnosis.search.adoption.reconsideration import reconsidered
 from casid.diagnosis.search.adoption.refinement import Adoption

@@ -8,7 +8,7 @@ from casid.diagnosis.evidence.residual.residual_tests import (
     ResidualTests,
     residual_tests,
 )
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import ROUNDS
 

@@ -30,7 +30,8 @@ from casid.diagnosis.evidence.scores.score_tests import (
     has_finite_tangent,
     score_test,
 )
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.comparison.alternatives import (
     on_common_samples,

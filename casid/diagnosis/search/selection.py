@@ -8,7 +8,7 @@ from functools import partial
 
 from casid.arrays import Array
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.adoption.event_renaming import with_last_event_renamed
 from casid.diagnosis.search.adoption.friction_sharpness import (
     with_sharp_friction,

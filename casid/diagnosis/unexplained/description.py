@@ -26,7 +26,7 @@ from casid.diagnosis.evidence.residual.residual_tests import (
     ResidualTests,
     residual_tests,
 )
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import DESCRIPTION
 from casid.diagnosis.unexplained.missing_force import (
     Dependence,

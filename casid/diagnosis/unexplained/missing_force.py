@@ -32,7 +32,7 @@ from casid.diagnosis.evidence.residual.force_functions import (
 )
 from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.evidence.residual.signatures import Regression, Tested, require_place
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES, TERMS
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
 from casid.diagnosis.unexplained.variables import variable_words

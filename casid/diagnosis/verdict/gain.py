@@ -14,7 +14,7 @@ from scipy.stats import f as f_distribution
 from casid.arrays import TINY, Array, BoolArray
 from casid.data.channel_quality import quantisation_step
 from casid.data.problem import Problem
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.comparison.simulation_errors import simulation_errors
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import FUNCTIONS, JUDGING, RESIDUAL

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.gain import (
     Errors,

@@ -14,8 +14,8 @@ from casid.diagnosis.evidence.records.sufficiency import (
     weak_parameters,
 )
 from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
 from casid.diagnosis.evidence.whitening.robust_errors import std_error
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Ranked, Verdict
 from casid.diagnosis.verdict.error_bars import bars_of, extended_bars, unknown_sizes

@@ -10,7 +10,7 @@ import numpy as np
 from casid.arrays import TINY
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.disturbances import Disturbance, is_seen, shown_source
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict

@@ -22,7 +22,7 @@ from casid.diagnosis.evidence.residual.residual_tests import (
     residual_tests,
     with_constancy,
 )
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.residual_check import tested_residual
 from casid.diagnosis.search.rounds import Search

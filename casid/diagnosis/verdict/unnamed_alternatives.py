@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.diagnosis.evidence.residual.candidate_functions import regressions
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import COMPARISON, JUDGING

@@ -20,7 +20,8 @@ from analysis.ship_algorithm.records import THREE as CASES
 from analysis.ship_algorithm.records import UNITS, load
 from analysis.ship_bias.records import SHIP
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from problems import ship

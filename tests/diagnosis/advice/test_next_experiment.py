@@ -21,7 +21,8 @@ from casid.diagnosis.advice.next_experiment import (
 )
 from casid.diagnosis.advice.planned_records import Planner
 from casid.diagnosis.evidence.scores.score_tests import score_test
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.errors import DataError
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.balances.balance_effects import (

@@ -14,7 +14,8 @@ import casid
 from casid.diagnosis.advice.recommendation import disturbance_advice
 from casid.diagnosis.calibration.null_records import NullRecords, Recipe, null_noise
 from casid.diagnosis.evidence.disturbances import Disturbance, Ratio, disturbances_of, shown_source
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 

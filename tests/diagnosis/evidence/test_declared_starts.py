@@ -12,12 +12,9 @@ from scipy.linalg import expm
 
 import casid
 from casid.diagnosis.evidence.whitening.fit_points import moved
-from casid.diagnosis.evidence.whitening.prewhitening import (
-    Weighing,
-    Weighted,
-    minus_log_likelihood,
-)
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.evidence.whitening.robust_errors import std_error
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.search.disturbance.disturbance_price import under_likelier_disturbance
 from casid.diagnosis.thresholds import RESTARTS
 from casid.estimation.noise.variances import error_over_noise

@@ -10,7 +10,8 @@ from scipy.stats import binom
 
 import casid
 from casid.diagnosis.evidence.disturbances import Disturbance, disturbances_of, p_value_of
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.rate_laws import with_balances

@@ -15,7 +15,8 @@ import pytest
 import casid
 from casid.diagnosis.evidence.residual.residual_tests import DETERMINISTIC, NOISE, residual_tests
 from casid.diagnosis.evidence.residual.signatures import added_variance
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.estimation.simulation.fit import fit_model
 
 LEVEL = 0.01

@@ -12,7 +12,8 @@ import pytest
 import casid
 from casid.diagnosis.evidence.residual.candidate_functions import regressions
 from casid.diagnosis.evidence.residual.residual_tests import NOISE, residual_tests
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.estimation.simulation.fit import fit_model
 
 TS, INERTIA, DAMPING, NOISE_SD = 0.01, 160.0, 12.0, 4e-3

@@ -11,7 +11,8 @@ import pytest
 import casid
 from casid.diagnosis.evidence.residual.residual_tests import NOISE, residual_tests
 from casid.diagnosis.evidence.whitening import prewhitening
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from tests.support import ventilated_room
@@ -128,9 +129,9 @@ def test_far_from_the_root_without_bias_the_noise_is_that_of_an_average_response
     )
     own = prewhitening.with_varying_response
 
-    def counting(*args):
+    def counting(*args, **settings):
         counted.append(args)
-        return own(*args)
+        return own(*args, **settings)
 
     monkeypatch.setattr(prewhitening, "with_varying_response", counting)
     assert weighing._without_bias(found) is None

@@ -11,7 +11,8 @@ import pytest
 import casid
 from casid.diagnosis.evidence.records.unstable_records import records_in_windows
 from casid.diagnosis.evidence.residual.residual_tests import NOISE, residual_tests
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.comparison.simulation_errors import simulation_errors
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, split_records

@@ -10,7 +10,8 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit

@@ -7,7 +7,8 @@ import functools
 import pytest
 
 import casid
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.simulation.fit import FitSettings, fit_model

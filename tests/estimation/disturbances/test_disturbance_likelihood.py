@@ -10,11 +10,8 @@ from scipy.signal import lfilter, lsim
 
 import casid
 from casid.arrays import Array
-from casid.diagnosis.evidence.whitening.prewhitening import (
-    Weighing,
-    minus_log_likelihood,
-    use_samples_of,
-)
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing, use_samples_of
+from casid.diagnosis.evidence.whitening.weighted_model import minus_log_likelihood
 from casid.errors import SolveError
 from casid.estimation.disturbances.disturbance_likelihood import (
     DisturbanceLikelihood,

@@ -12,7 +12,7 @@ from casid.arrays import Array
 from casid.data.held_signals import is_held, is_switched
 from casid.diagnosis.evidence.records.command_rates import command_rates
 from casid.diagnosis.evidence.residual.bursts import burst_of
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.noise.input_noise_floor import input_noise_floor
 from casid.estimation.noise.variances import with_rounding

@@ -16,7 +16,7 @@ from scipy.stats import norm
 from casid.arrays import TINY, Array, robust_sd
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.scores.window_states import states_of_windows
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import SUFFICIENCY
 from casid.estimation.covariance import FEWEST_FOR_WHITENESS, autocorrelation, whiteness
 from casid.estimation.estimate import Estimate

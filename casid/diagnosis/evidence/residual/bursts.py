@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import BURSTS
 
 

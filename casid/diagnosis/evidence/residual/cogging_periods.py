@@ -14,7 +14,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.residual.linearised_path import Linearised
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import COGGING
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balances.cogging_effects import cogging

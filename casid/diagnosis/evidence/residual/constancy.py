@@ -23,7 +23,7 @@ from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.residual.force_functions import TIME, Group, Table
 from casid.diagnosis.evidence.residual.linearised_path import Linearised
 from casid.diagnosis.evidence.residual.signatures import Regression
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import RESIDUAL
 
 

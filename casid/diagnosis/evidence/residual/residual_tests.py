@@ -30,7 +30,7 @@ from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.residual.candidate_functions import regressions
 from casid.diagnosis.evidence.residual.constancy import Unsteady, unsteady
 from casid.diagnosis.evidence.residual.signatures import Regression
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.feedback import one_sample_late

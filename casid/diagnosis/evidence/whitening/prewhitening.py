@@ -18,6 +18,11 @@ from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.scores.score_tests import step_without_bias
 from casid.diagnosis.evidence.scores.window_states import left_by_states, states_of_windows
 from casid.diagnosis.evidence.whitening.fit_points import is_at_bound, moved, use_samples_of
+from casid.diagnosis.evidence.whitening.weighted_model import (
+    Weighted,
+    at_point,
+    minus_log_likelihood,
+)
 from casid.diagnosis.evidence.whitening.white_floors import not_below
 from casid.diagnosis.solvers import NEAR
 from casid.diagnosis.thresholds import PREWHITENING, RESTARTS
@@ -40,34 +45,6 @@ from casid.estimation.simulation.input_noise.input_noise import input_noise_sd
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Weighted:
-    """A model fitted under one noise model."""
-
-    model: Model
-    fit: Fit
-    noise: NoiseModel  # what it is fitted under
-    full: NoiseModel  # with what may be a disturbance
-    input_sd: Mapping[str, float]
-    noise_absorbs_misfit: bool  # much of it is explained by neither sensors nor measured inputs
-    unbiased: Fit | None = None  # where the noise of the inputs has no part in the estimate, or a
-    # disturbance counts by the response of the model itself
-    beside: Weighted | None = None  # the same under disturbances, where these were sought
-
-    @property
-    def criterion(self) -> SimulationError:
-        """The whitened criterion at its minimum."""
-        return self.fit.criterion
-
-    @property
-    def likelihoods(self) -> Weighted:
-        """The model under noise with disturbances, which gives likelihoods, where that was sought.
-
-        Where it absorbs misfit, the noise of sensors and inputs alone gives none.
-        """
-        return self.beside if self.noise_absorbs_misfit and self.beside is not None else self
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +180,7 @@ class Weighing:
         ----------
         found : a fit with the noise there, of which a force has a spectrum.
         """
-        return min((self.likeliest_near(model, at) for at in self._starts(found)), key=_at_point)
+        return min((self.likeliest_near(model, at) for at in self._starts(found)), key=at_point)
 
     def _starts(self, found: Weighted) -> Iterator[Weighted]:
         """A fit, and the same with what is at its bound where the model declares it to start.
@@ -242,14 +219,14 @@ class Weighing:
 
         What is not white under it shows in spectra of the average response as forces that are none.
         """
-        at, before = found, _at_point(self._whitened(found.model, found))
+        at, before = found, at_point(self._whitened(found.model, found))
         with contextlib.suppress(CasidError):
             for _ in range(PREWHITENING.rounds):
                 if (noise := followed_path(at.full, at.criterion, at.fit.x)) is None:
                     break
                 criterion = self.criterion(at.model, noise, at.fit.values, at.criterion)
                 fit = self.minimum(criterion)
-                value = _at_point(replace(at, fit=fit, noise=noise))
+                value = at_point(replace(at, fit=fit, noise=noise))
                 if not value < before - VARYING_RESPONSE.likelier:
                     break
                 at, before = self.estimated(fit, is_simple=True), value
@@ -269,7 +246,7 @@ class Weighing:
             at = self.estimated(moved(at.fit, at.criterion, x), near=near)
             near = at.full.spectra
             found = self._whitened(model, at)
-            if not _at_point(found) < _at_point(best) - PREWHITENING.likelier:
+            if not at_point(found) < at_point(best) - PREWHITENING.likelier:
                 break
             best = found
         return best
@@ -476,29 +453,3 @@ class Weighing:
                 white = left_by_states(begun, white)
             value -= 0.5 * float(np.sum(white**2))
         return value
-
-
-def minus_log_likelihood(at: Weighted, counted: SimulationError | None = None) -> float:
-    """Whittle's, of the residual under the noise that the model is fitted under.
-
-    Parameters
-    ----------
-    counted : whose samples count. Of those that the model leaves out, the first ones of a late
-        input, each counts as much as is expected of it: no model is more or less likely for that.
-    """
-    if at.noise.spectra and at.unbiased is not None:
-        at = replace(at, fit=at.unbiased)
-    return _at_point(at, counted)
-
-
-def _at_point(at: Weighted, counted: SimulationError | None = None) -> float:
-    """The weighted model at the parameters of the fit."""
-    noise, value, data = at.noise, at.fit.solution.value, at.criterion.data
-    if counted is not None:
-        left_out = [its.used & ~d.used for its, d in zip(counted.data, data, strict=True)]
-        if any(mask.any() for mask in left_out):
-            whole = [d.used | mask for d, mask in zip(data, left_out, strict=True)]
-            noise = replace(noise, used=whole)
-            value += 0.5 * sum(int(mask.sum()) for mask in left_out)
-    logs = sum(noise.log_determinant(e, d.N) for e, d in enumerate(data))
-    return value + 0.5 * logs

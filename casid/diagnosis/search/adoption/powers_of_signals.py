@@ -15,7 +15,7 @@ from dataclasses import replace
 import casadi as ca
 
 from casid.diagnosis.evidence.records.signal_sizes import sizes_of
-from casid.diagnosis.evidence.whitening.prewhitening import minus_log_likelihood
+from casid.diagnosis.evidence.whitening.weighted_model import minus_log_likelihood
 from casid.diagnosis.search.adoption.refinement import (
     Adoption,
     Refinement,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.adoption.refinement import Adoption, values_by_new_names, whole_fit
 from casid.diagnosis.search.candidates import Adopted, Candidate, extended_by, is_needed, name_of
 from casid.diagnosis.search.comparison.simulation_errors import on_common_samples, simulation_errors

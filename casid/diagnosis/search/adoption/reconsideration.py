@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import (
     Adopted,
     Candidate,

@@ -24,8 +24,9 @@ from functools import cached_property, partial
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.evidence.whitening.robust_errors import std_error, wald
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.search.candidates import (
     Adopted,
     Candidate,

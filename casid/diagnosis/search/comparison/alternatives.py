@@ -20,7 +20,7 @@ from scipy.stats import chi2, norm
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable
 from casid.diagnosis.evidence.whitening.fit_points import use_samples_of
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, Rival, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON, SUFFICIENCY

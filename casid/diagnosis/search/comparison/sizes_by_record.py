@@ -17,7 +17,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.thresholds import ROUNDS
 from casid.estimation.covariance import sandwich

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import TINY
 from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.simulation.minimization import Fit
 

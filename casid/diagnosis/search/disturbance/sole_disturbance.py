@@ -21,7 +21,7 @@ from casid.diagnosis.evidence.gain_under_disturbance import (
 from casid.diagnosis.evidence.records.signal_sizes import window_of
 from casid.diagnosis.evidence.scores.score_tests import Score, ScoreTable
 from casid.diagnosis.evidence.scores.signature_columns import extended_columns
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance.disturbance_price import (
     price_of,

@@ -17,7 +17,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.scores.score_tests import regressed
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.model.effects.clock_effects import KNOCK, joint_offset_step, offset_step

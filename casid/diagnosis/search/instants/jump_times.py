@@ -10,7 +10,7 @@ import numpy as np
 
 from casid.diagnosis.evidence.records.signal_sizes import window_of
 from casid.diagnosis.evidence.scores.score_tests import scan, scan_pairs
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS

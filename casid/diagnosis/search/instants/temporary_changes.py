@@ -24,7 +24,7 @@ import numpy as np
 from casid.arrays import TINY
 from casid.diagnosis.evidence.residual.bursts import burst_of
 from casid.diagnosis.evidence.scores.score_tests import Score, ScoreTable, regressed
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.instants.jump_times import placed_about
 from casid.diagnosis.thresholds import COMPARISON, JUMPS, SHORTLIST
 from casid.model.effects.clock_effects import at_instant

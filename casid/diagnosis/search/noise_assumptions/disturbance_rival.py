@@ -35,11 +35,8 @@ from scipy.stats import chi2
 
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
-from casid.diagnosis.evidence.whitening.prewhitening import (
-    Weighing,
-    Weighted,
-    minus_log_likelihood,
-)
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.search.adoption.refinement import Adoption, Refinement
 from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
 from casid.diagnosis.search.comparison.alternatives import is_imitator

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from casid.diagnosis.evidence.baseline import Baseline
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.adoption.powers_of_signals import with_better_powers
 from casid.diagnosis.search.adoption.refinement import (
     Adoption,

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casid.diagnosis.evidence.baseline import Baseline
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.search.adoption.refinement import Adoption
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance.disturbance_price import price_of

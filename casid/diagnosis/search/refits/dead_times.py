@@ -18,7 +18,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.scores.score_tests import Score, ScoreTable
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.search.refits.joint_refit import is_dead_time
 from casid.diagnosis.search.refits.preselection import head_of

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from casid.arrays import TINY
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON, FRICTION

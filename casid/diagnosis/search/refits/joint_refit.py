@@ -16,11 +16,9 @@ import numpy as np
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.scores.divergence import diverging_size
 from casid.diagnosis.evidence.whitening.fit_points import use_samples_of
-from casid.diagnosis.evidence.whitening.prewhitening import (
-    Weighing,
-    Weighted,
-)
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.evidence.whitening.robust_errors import wald
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.solvers import COMPARED
 from casid.diagnosis.thresholds import REFITS, RESTARTS

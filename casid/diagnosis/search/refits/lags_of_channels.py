@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casid.diagnosis.evidence.scores.score_tests import Score, ScoreTable
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, found_values
 from casid.diagnosis.search.refits.joint_refit import is_dead_time
 from casid.diagnosis.thresholds import COMPARISON, SHORTLIST

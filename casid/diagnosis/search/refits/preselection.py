@@ -16,7 +16,7 @@ import numpy as np
 from casid.arrays import TINY
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.scores.score_tests import Score
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS

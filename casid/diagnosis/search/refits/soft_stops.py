@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from casid.diagnosis.evidence.whitening.prewhitening import Weighted
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.settings import Progress

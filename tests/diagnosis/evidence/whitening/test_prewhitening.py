@@ -10,7 +10,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import casid
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

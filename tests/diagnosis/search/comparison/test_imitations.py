@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.comparison.imitations import is_at_resonance, is_further_friction
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balances.balance_effects import (

@@ -15,7 +15,8 @@ from casid.diagnosis.evidence.gain_under_disturbance import (
 )
 from casid.diagnosis.evidence.scores.signature_columns import extended_columns
 from casid.diagnosis.evidence.whitening import prewhitening
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.search.disturbance.disturbance_price import price_of
 from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
 from casid.diagnosis.search.instants.jump_times import placed_by_tangents

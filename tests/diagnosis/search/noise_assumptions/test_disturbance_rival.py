@@ -12,7 +12,8 @@ from scipy.signal import lfilter
 
 import casid
 from casid.diagnosis.attempts import Attempts
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import minus_log_likelihood
 from casid.diagnosis.search.adoption.refinement import Adoption
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.comparison.simulation_errors import SimulationErrors

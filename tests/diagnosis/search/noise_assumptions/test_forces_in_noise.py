@@ -7,7 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.estimation.simulation.fit import FitSettings, fit_model
 
 ROOM, NOISE = 293.0, 0.05

@@ -14,7 +14,8 @@ import pytest
 from scipy.linalg import expm
 
 import casid
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.search.rounds import Search, shortlist
 from casid.diagnosis.solvers import NEAR

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.whitening.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.search.refits.soft_stops import is_soft_stop, without_soft_stops
 from casid.estimation.simulation.fit import fit_model
