@@ -204,6 +204,10 @@ class NoiseModel:
             return partial.whiten(columns)
         return self._along(experiment, slice(0, len(columns))).whiten(columns)
 
+    def whitener(self, data: Sequence[Signals]) -> Whitening:
+        """`whiten` for a criterion, which may count fewer samples than the noise comes from."""
+        return Whitening(self, data)
+
     def weighted(self, columns: Array, experiment: int) -> Array:
         """The inverse of a complete record's covariance times columns (N, ny, m), weighted."""
         if not any(self.source_sd.values()):
@@ -334,3 +338,23 @@ class NoiseModel:
                 samples,
             )
         return self._innovations[experiment, samples]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitening:
+    """`NoiseModel.whiten` of the samples that a criterion counts.
+
+    A zero in the place of a sample that it leaves out, the first ones of a late input, is no
+    measurement: under a slow disturbance it would contradict all that follow.
+    """
+
+    noise: NoiseModel
+    data: Sequence[Signals]
+
+    def __call__(self, columns: Array, experiment: int) -> Array:
+        """Columns (N, ny, m) as `NoiseModel.whiten` takes and gives them."""
+        used = self.data[experiment].used
+        # Of single outputs that begin later, an average response asks for a system of their size.
+        is_cheap = bool(self.noise.varying) or unbroken(used) is not None
+        counts = is_cheap and len(used) == len(columns)
+        return self.noise.whiten(columns, experiment, used if counts else None)

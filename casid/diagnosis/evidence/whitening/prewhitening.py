@@ -411,15 +411,15 @@ class Weighing:
         like: SimulationError,
     ) -> SimulationError:
         """The criterion of a model under a noise; own parameters and weights as `like` has them."""
-        return SimulationError(
+        found = SimulationError(
             model,
             self.experiments,
             own=[n for n in like.own if n in model.parameters],
             weights=like.weights,
-            whiten=noise.whiten,
             substeps=like.substeps,
             start=start,
         )
+        return found.whitened(noise.whitener(found.data))
 
     def input_sd(self, noise: NoiseModel, criterion: SimulationError) -> dict[str, float]:
         """Input noise: what the residual shows, but no more than the channels' own floors."""
