@@ -125,12 +125,9 @@ def tried(
     ----------
     is_trial : a poor one ends with the integration steps that it has.
     """
-
-    def is_refined(fit: Fit) -> bool:
-        return not (is_trial and is_poor(fit))
-
+    settings = replace(settings, ends_at=is_poor) if is_trial else settings
     try:
-        return fit_model(model, experiments, settings, start=start, is_refined=is_refined)
+        return fit_model(model, experiments, settings, start=start)
     except OutOfTimeError:
         raise
     except CasidError:

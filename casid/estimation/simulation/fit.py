@@ -36,6 +36,7 @@ class FitSettings:
     substeps : Runge-Kutta steps a sample; None doubles them until they no longer matter.
     own : parameters that every record has for itself.
     constraints : each takes a mapping of names to symbols and returns what is to be zero.
+    ends_at : says of a fit whose steps are too long that none is made with shorter ones.
     """
 
     starts: int = 3
@@ -45,6 +46,7 @@ class FitSettings:
     constraints: Sequence[Constraint] = ()
     solver: Solver | None = None
     seed: int = 0
+    ends_at: Callable[[Fit], bool] | None = None
 
 
 def fit_model(
@@ -57,7 +59,6 @@ def fit_model(
     check_rank: bool = True,
     throw: bool = True,
     substeps: int = 1,
-    is_refined: Callable[[Fit], bool] = lambda fit: True,
 ) -> Fit:
     """Minimise the simulation error, with as many Runge-Kutta substeps as the data need.
 
@@ -65,7 +66,6 @@ def fit_model(
     ----------
     weights : (ny,) of the outputs, as for `SimulationError`.
     substeps : that are tried first, where the settings leave them free.
-    is_refined : whether a fit with steps that are too long is made again with shorter ones.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def fit_model(
                 check_rank=check_rank and fit is None,
             )
             is_done = fit.not_done or not (is_free and _steps_are_too_long(criterion, fit))
-            if is_done or not is_refined(fit):
+            if is_done or (settings.ends_at is not None and settings.ends_at(fit)):
                 break
         except OutOfTimeError:
             if fit is None:

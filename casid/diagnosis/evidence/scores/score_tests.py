@@ -442,17 +442,16 @@ def regressed(fit: Fit, own: str | None, effects: Sequence[Effect]) -> tuple[Arr
     """
     base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
-    x, is_out = wide.start, False
-    if own is not None and any(e.is_new_gain for e in effects[:1]):
-        is_out = fit.values[own] < SCORES.takes_away
-        x = without(wide, x, [own]) if is_out else x
+    x, is_gain = wide.start, any(e.is_new_gain for e in effects[:1])
+    if own is not None and is_gain and fit.values[own] < SCORES.takes_away:
+        x = without(wide, x, [own])
     parts = [columns.of_record(x, k) for k in range(len(wide.data))]
     e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))
     parts.clear()
     rest = t_all
     if own is not None:
         mine = base.names.index(own)
-        e = e if is_out else e + t_all[:, mine] * fit.x[mine]
+        e = e + t_all[:, mine] * x[columns.tangent[mine]]
         rest = np.delete(t_all, mine, axis=1)
     rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
     q, _ = np.linalg.qr(rest)
