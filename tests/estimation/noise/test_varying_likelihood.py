@@ -18,6 +18,7 @@ from casid.estimation.noise.varying_likelihood import (
     filters_along,
     is_white,
     with_likeliest_noise,
+    with_spectra_along,
 )
 from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.noise.varying_steps import steps_along
@@ -134,6 +135,51 @@ def test_the_spectrum_of_a_force_is_likelier_than_the_truth_by_chance_alone(time
         assert np.allclose(after * shapes[0], before * shapes[1])
     assert min(gains) > -0.1  # where a step promises 0.02 units, the search ends
     assert max(gains) < chi2.isf(1e-3 / len(gains), 3)
+
+
+def test_a_white_force_gets_the_spectrum_that_it_has_along_the_path():
+    """By Schwarz, of one more parameter; it is as likely as the truth, up to chance (Wilks)."""
+    for seed in range(3):
+        criterion, x, true = jacket(seed)
+        residuals, steps = [criterion.simulated(x, 0).residual], [steps_along(criterion, x, 0)]
+        white = replace(true, spectra={}, source_sd={"heat": 3 * cooled_jacket.FORCE})
+        white = replace(white, varying=filters_along(white, steps) or ())
+        white = with_likeliest_noise(white, steps, criterion, residuals)
+        found = with_spectra_along(white, steps, criterion, residuals)
+        assert list(found.spectra) == ["heat"]
+        gain = white.minus_log_likelihood(residuals) - found.minus_log_likelihood(residuals)
+        assert gain > 0.5 * np.log(criterion.n_samples)
+        beyond = true.minus_log_likelihood(residuals) - found.minus_log_likelihood(residuals)
+        assert -0.1 < 2 * beyond < chi2.isf(1e-3, 3)
+        # A force that has one gets no other.
+        assert with_spectra_along(found, steps, criterion, residuals) is found
+
+
+def test_a_force_that_is_white_stays_so():
+    criterion, x, noise = jacket(0)
+    steps, rng = [steps_along(criterion, x, 0)], np.random.default_rng(5)
+    white = replace(noise, spectra={}, source_sd={"heat": 500.0})
+    white = replace(white, varying=filters_along(white, steps) or ())
+    drawn = white.varying[0].coloured(rng.standard_normal((cooled_jacket.SAMPLES, 1, 1)))
+    residuals = [drawn[:, :, 0] / white.weights]
+    assert with_spectra_along(white, steps, criterion, residuals) is white
+
+
+def test_samples_that_a_criterion_leaves_out_are_no_measured_zeros():
+    """What is left of a slow force is as likely as before; zeros in between contradict it."""
+    criterion, _, noise = jacket(1)
+    steps = [v.steps for v in noise.varying if v.steps is not None]
+    slow = replace(noise, spectra={"heat": DisturbanceSpectrum(0.1 / cooled_jacket.MEMORY)})
+    slow = replace(slow, source_sd={"heat": 30 * cooled_jacket.FORCE})
+    slow = replace(slow, varying=filters_along(slow, steps) or ())
+    white = np.random.default_rng(2).standard_normal((cooled_jacket.SAMPLES, 1, 1))
+    columns = slow.varying[0].coloured(white)
+    late = replace(criterion.data[0], used=np.arange(cooled_jacket.SAMPLES)[:, None] >= 300)
+    left = columns * late.used[:, :, None]
+    size = float(np.sum(slow.whitener([late])(left, 0) ** 2))
+    freedom = cooled_jacket.SAMPLES - 300
+    assert size == pytest.approx(freedom, abs=4 * np.sqrt(2 * freedom))
+    assert float(np.sum(slow.whiten(left, 0) ** 2)) > 2 * freedom
 
 
 def jacket(seed: int) -> tuple[SimulationError, np.ndarray, NoiseModel]:

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.evidence.scores.score_tests import scan
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search.instants.jump_times import is_known_event, placed
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.effects.clock_effects import at_instant, gain_step
 from casid.model.effects.parameter_effects import parameter_jump
 
 TS, JUMP, NOISE = 0.1, 62.0, 5e-3
@@ -61,6 +63,38 @@ def test_a_jump_in_the_second_record_is_found_where_it_is():
     assert found["time"].value == pytest.approx(JUMP, abs=3 * TS)
     jump = found["jump_k"]
     assert jump.value == pytest.approx(0.3, abs=3 * jump.std_error)
+
+
+def test_at_its_own_instant_a_change_of_a_gain_leaves_what_its_fit_leaves():
+    """Also where the simulation without it is far away: drag is quadratic in the speed.
+
+    A gain of next to -1 is taken out of the simulation: it hides all other gains of its channel.
+    """
+    m = casid.Model("boat")
+    v = m.state("v", "m/s", start=2.0)
+    F = m.input("F", "N", hold="zoh", known=True)
+    d = m.parameter("d", "N s^2/m^2", start=3.0, lower=0.01, upper=50.0)
+    m.balance(v, "surge", inertia=10.0, terms=[F, -d * v**2])
+    m.output("speed", v, "m/s")
+    rng, N = np.random.default_rng(2), 600
+    force = np.repeat(rng.uniform(5.0, 60.0, N // 30), 30)
+    acting, speed, at = force * np.where(np.arange(N) < 350, 1.0, 0.6), np.empty(N), 2.0
+    for i in range(N):
+        speed[i] = at
+        for _ in range(20):
+            at += TS / 20 * (acting[i] - 3.0 * at**2) / 10.0
+    record = casid.Record(
+        {"F": force, "speed": speed + 1e-4 * rng.standard_normal(N)},
+        {"F": "N", "speed": "m/s"},
+        Ts=TS,
+    )
+    effect = gain_step(m, "F", 35.0)
+    model, (name, *_) = effect.extended(m)
+    fit = fit_model(model, [casid.Experiment(record)], FitSettings(starts=1))
+    assert fit.values[name] == pytest.approx(-0.4, abs=0.01)
+    (left,) = scan(fit, name, [effect])
+    assert left == pytest.approx(2 * fit.solution.value, rel=1e-6)
+    assert min(scan(fit, name, [at_instant(effect, m, t) for t in (34.5, 35.5)])) > 10 * left
 
 
 def test_where_no_refit_succeeded_nothing_is_placed():
