@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.fft import rfft
@@ -57,7 +58,7 @@ def lines_of(columns: Array) -> Lines:
 class _Entry:
     """Meaning of one place of phi: a property of an output or a source by its name."""
 
-    kind: str  # "output", "source", "frequency", "damping" or "ratio"
+    kind: Literal["output", "source", "frequency", "damping", "ratio"]
     of: str
     part: int = 0  # of a ratio: its place among the parts
     size: float = 1.0  # of a ratio: its unit

@@ -188,22 +188,25 @@ class _Likelihood:
         )
         # In which ratio a force acts in several balances is known from the average response.
         self.free = [i for i, e in enumerate(self.of.entries) if e.kind != "ratio"]
-        # Place among the free ones of every variance.
-        self.variances: dict[Variance, int] = {}
-        for k, i in enumerate(self.free):
-            kind, name = self.of.entries[i].kind, self.of.entries[i].of
-            if kind in ("output", "source"):
-                self.variances["output" if kind == "output" else "source", name] = k
+        self.variances: dict[Variance, int] = {}  # the place of each among the free ones
+        for k, entry in enumerate(self.of.entries[i] for i in self.free):
+            if entry.kind == "output" or entry.kind == "source":
+                self.variances[entry.kind, entry.of] = k
         self._processes: tuple[Mapping[str, DisturbanceSpectrum], list[Process]] | None = None
 
     def noise_at(self, z: Array) -> NoiseModel:
         """The noise of these logarithms, with its innovations as they were."""
+        output_sd, source_sd, spectra = self._read(z)
+        found = replace(self.noise, output_sd=output_sd, source_sd=source_sd)
+        return found.under_spectra(spectra, self.data)
+
+    def _read(self, z: Array) -> tuple[Array, dict[str, float], dict[str, DisturbanceSpectrum]]:
+        """Standard deviations of the outputs' noise (ny,) and of the sources, and their spectra."""
         phi = self.of.start.copy()
         phi[self.free] = z
         white, scales, spectra = self.of.read(phi)
         source_sd = {**self.noise.source_sd, **{n: float(np.sqrt(v)) for n, v in scales.items()}}
-        found = replace(self.noise, output_sd=np.sqrt(white), source_sd=source_sd)
-        return found.under_spectra({**self.noise.spectra, **spectra}, self.data)
+        return np.sqrt(white), source_sd, {**self.noise.spectra, **spectra}
 
     def start(self) -> Array:
         """The noise to begin with, all variances times one factor where that is likelier.
@@ -243,12 +246,12 @@ class _Likelihood:
 
     def _innovations(self, z: Array) -> list[tuple[Array, Array]]:
         """e (N, ny) and -log s of each experiment; none where the filters diverge."""
-        at = self.noise_at(z)
-        sizes, out = (at.output_sd * at.weights, at.source_sd), []
+        output_sd, source_sd, spectra = self._read(z)
+        sizes, out = (output_sd * self.noise.weights, source_sd), []
         with np.errstate(all="ignore"):
             try:
                 for process, d, columns in zip(
-                    self._driven(at.spectra), self.data, self.columns, strict=True
+                    self._driven(spectra), self.data, self.columns, strict=True
                 ):
                     of = VaryingInnovations(process.under(*sizes), _where_missing(d))
                     out.append((of.whiten(columns)[:, :, 0], of.log_roots))
