@@ -404,9 +404,9 @@ class Scores:
         "quadratic damping in a long decay. Below it a linear signature does not predict a fit",
         POWER_STUDY,
     )
-    takes_away: float = _is(
-        -0.5,
-        "gain error below which another gain of its channel is scored without it: the simulation "
+    small_gain: float = _is(
+        0.5,
+        "gain error up to which another gain of its channel is scored beside it: the simulation "
         "without it may lie far from the record, where nothing is linear",
         f"{TESTS}/search/instants/test_jump_times.py",
     )

@@ -29,6 +29,9 @@ from casid.estimation.simulation.records.signals import Signals
 
 Partial = PartialInnovations | UnbrokenInnovations | PartialVarying
 
+FEW = 500
+"""Missing samples up to which those of a criterion count, whatever they cost: a system of as many
+equations takes a hundredth of a second."""
 Variance = tuple[Literal["output", "source"], str]
 """Whose: of an output, or of a source, which is a measured input or a force. The law of a state
 is a force by the state's name, which an output may have as well."""
@@ -249,6 +252,11 @@ class NoiseModel:
         assert isinstance(partial, PartialInnovations)
         return partial.filled(residual * self.weights, rng) / self.weights
 
+    def is_broken(self, experiment: int) -> bool:
+        """True of a record in the midst of which samples lacked where the noise was found."""
+        used = self.used[experiment] if self.used else None
+        return used is not None and unbroken(used) is None
+
     def _used_of(self, experiment: int, samples: int) -> BoolArray | None:
         """Which samples there are, None where all are."""
         used = self.used[experiment] if self.used else None
@@ -353,8 +361,13 @@ class Whitening:
 
     def __call__(self, columns: Array, experiment: int) -> Array:
         """Columns (N, ny, m) as `NoiseModel.whiten` takes and gives them."""
-        used = self.data[experiment].used
-        # Of single outputs that begin later, an average response asks for a system of their size.
-        is_cheap = bool(self.noise.varying) or unbroken(used) is not None
+        used, noise = self.data[experiment].used, self.noise
+        # An average response asks for a system as large as what lacks in the midst of a record.
+        is_cheap = (
+            bool(noise.varying)
+            or noise.is_broken(experiment)
+            or unbroken(used) is not None
+            or np.count_nonzero(~used) <= FEW
+        )
         counts = is_cheap and len(used) == len(columns)
-        return self.noise.whiten(columns, experiment, used if counts else None)
+        return noise.whiten(columns, experiment, used if counts else None)

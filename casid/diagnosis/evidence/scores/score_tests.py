@@ -436,14 +436,14 @@ def regressed(fit: Fit, own: str | None, effects: Sequence[Effect]) -> tuple[Arr
 
     Parameters
     ----------
-    own : a parameter of the fit that is taken out, as in `scan`; None where there is none. A gain
-        that takes most of its channel away is taken out of the simulation: under one of -1 no
-        other gain of the channel does anything.
+    own : a parameter of the fit that is taken out, as in `scan`; None where there is none. A large
+        gain is taken out of the simulation: under one of -1 no other gain of the channel does
+        anything.
     """
     base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
     x, is_gain = wide.start, any(e.is_new_gain for e in effects[:1])
-    if own is not None and is_gain and fit.values[own] < SCORES.takes_away:
+    if own is not None and is_gain and abs(fit.values[own]) > SCORES.small_gain:
         x = without(wide, x, [own])
     parts = [columns.of_record(x, k) for k in range(len(wide.data))]
     e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))

@@ -22,7 +22,7 @@ from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
 from casid.diagnosis.search.instants.jump_times import placed_by_tangents
 from casid.diagnosis.search.instants.temporary_changes import temporary_changes
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.thresholds import RESTARTS
+from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.holdout import split_records
 from casid.estimation.noise.noise_model import NoiseModel
@@ -222,7 +222,7 @@ def test_no_candidate_is_refitted_in_a_sea() -> None:
 def test_a_step_gains_most_of_what_the_refit_of_an_effect_gains_beside_a_sea(seed: int) -> None:
     """At the model without a drag the tangent of one, in a sea that makes it curved, is no more.
 
-    What a step has to gain for a search is below that share of what pays for an effect. Both
+    What gains less than a share of what pays for an effect in its first step is not followed. Both
     likelihoods are maxima over the sea's spectrum, of which each is found to half a unit.
     """
     search, start, base = started(record(seed, drag=1.5))
@@ -236,7 +236,7 @@ def test_a_step_gains_most_of_what_the_refit_of_an_effect_gains_beside_a_sea(see
     fit = fit_model(model, search.weighing.experiments, FitSettings(starts=1))
     refitted = minus_log_likelihood(bare) - minus_log_likelihood(beside.weigh(model, fit, rounds=1))
     assert refitted > 10.0
-    assert 0.6 * refitted < gain < refitted + 1.0
+    assert DISTURBED.followed * refitted < gain < refitted + 1.0
 
 
 def test_an_effect_pays_by_its_parameters_and_for_the_choice_among_many() -> None:

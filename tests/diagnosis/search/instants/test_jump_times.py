@@ -68,7 +68,7 @@ def test_a_jump_in_the_second_record_is_found_where_it_is():
 def test_at_its_own_instant_a_change_of_a_gain_leaves_what_its_fit_leaves():
     """Also where the simulation without it is far away: drag is quadratic in the speed.
 
-    A gain of next to -1 is taken out of the simulation: it hides all other gains of its channel.
+    A large gain is taken out of the simulation: one of -1 hides all other gains of its channel.
     """
     m = casid.Model("boat")
     v = m.state("v", "m/s", start=2.0)
