@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -9,7 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import SolveError
+from casid.errors import ModelError, SolveError
 from casid.model.model import Model
 
 T = TypeVar("T")
@@ -122,6 +123,15 @@ class Unknowns:
         """Suffix that marks the unknowns of one experiment among several."""
         return f"@{self.experiments[experiment][0]}" if len(self.experiments) > 1 else ""
 
+    @property
+    def startable(self) -> list[str]:
+        """What a start may name: free parameters and initial states, by record where of one."""
+        labels = [self.label(e) for e in range(len(self.experiments))]
+        own = [f"{name}{label}" for name in self.own for label in labels]
+        initial = [name for name, s in self.model.states.items() if s.initial is None]
+        states = [f"{name}(0){label}" for label in labels for name in initial]
+        return list(dict.fromkeys([*self.free, *own, *states]))
+
     def add_own(self, experiment: int, *, clip: bool = False) -> dict[str, int]:
         """An experiment's own parameters; returns name -> place of all that are unknown in it."""
         known = self.experiments[experiment][1]
@@ -163,6 +173,33 @@ class Unknowns:
                 for state, i in zip(self.model.states.values(), places, strict=True)
             ],
             dtype=float,
+        )
+
+
+def refuse_strangers(model: Model, names: Sequence[str], given: Mapping[str, float]) -> None:
+    """Refuse a start for what is no variable, which would be ignored.
+
+    Raises
+    ------
+    ModelError
+        With the names that there are, and the nearest.
+    """
+    for name in given:
+        if name in names:
+            continue
+        what = f"{model.name}: start names {name!r}, "
+        if name in model.parameters:
+            known = "known" if model.parameters[name].is_known else "known in all records"
+            raise ModelError(
+                f"{what}which is {known}: leave it out, or estimate it, "
+                f"model.with_unknown({name!r}), and take it out of the experiments' values"
+            )
+        like = (f"{name}(", f"{name}@")  # x(0), x(0)@run
+        near = [n for n in names if f"({name})" in n or n.startswith(like)]  # var(y)
+        near += difflib.get_close_matches(name, names, 1, 0.4)
+        raise ModelError(
+            f"{what}which is not a variable; there are {', '.join(names)}"
+            + (f"; did you mean {near[0]!r}?" if near else "; leave it out")
         )
 
 

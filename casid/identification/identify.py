@@ -18,6 +18,7 @@ from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.records.input_gaps import with_gaps_treated
+from casid.estimation.unknowns import Unknowns, refuse_strangers
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.disturbed import identify_disturbed, identify_unstable
 from casid.identification.simulated import identify_simulated
@@ -80,6 +81,8 @@ def identify(
 
     Raises
     ------
+    ModelError
+        `start` names what is no variable.
     DataError
         Channels missing, inputs without a complete stretch, record too short for the unknowns.
     IdentifiabilityError
@@ -117,6 +120,10 @@ def identify(
     settings = settings or FitSettings(starts=problem.starts)
     acting = _disturbances(disturbances, settings, intervals)
     say = progress or (lambda _: None)
+    if not acting:  # the prediction error has variables of its own, and refuses others itself
+        known = [(e.name, e.known) for e in split.fitted]
+        unknowns = Unknowns(problem.model, known, settings.own)
+        refuse_strangers(problem.model, unknowns.startable, begin)
     task = Task(problem, split, settings, begin, intervals, budget, say, began)
     with until(began + fit_budget(problem.model, split.fitted, budget)):
         structural = _structure(task, acting)

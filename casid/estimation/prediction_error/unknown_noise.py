@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.estimation.simulation.records.signals import Signals
-from casid.estimation.unknowns import Unknowns
+from casid.estimation.unknowns import Unknowns, refuse_strangers
 from casid.linear.filtering.noisy_model import NoisePlaces
 from casid.model.model import Model
 
@@ -52,7 +51,7 @@ class NoisyUnknowns:
                     f"{', '.join(self.model.states)}"
                 )
         self.index = self._lay_out(doubted)
-        self._refuse_strangers(given)
+        refuse_strangers(self.model, [*unknowns.names, *unknowns.own], given)
 
     def _lay_out(self, doubted: Collection[str]) -> list[Array]:
         unknowns, places, index = self.unknowns, self.places, []
@@ -77,26 +76,6 @@ class NoisyUnknowns:
                 local.append(unknowns.add(tag, name, state.start, bounds, scale))
             index.append(np.array(local))
         return index
-
-    def _refuse_strangers(self, given: Mapping[str, float]) -> None:
-        """A start for what is no variable would be ignored."""
-        names = [*self.unknowns.names, *self.unknowns.own]
-        for name in given:
-            if name in names:
-                continue
-            what = f"{self.model.name}: start names {name!r}, "
-            if name in self.model.parameters:
-                known = "known" if self.model.parameters[name].is_known else "known in all records"
-                raise ModelError(
-                    f"{what}which is {known}: leave it out, or estimate it, "
-                    f"model.with_unknown({name!r}), and take it out of the experiments' values"
-                )
-            near = [n for n in names if f"({name})" in n]  # var(y) for y
-            near += difflib.get_close_matches(name, names, 1, 0.4)
-            raise ModelError(
-                f"{what}which is not a variable; there are {', '.join(names)}"
-                + (f"; did you mean {near[0]!r}?" if near else "; leave it out")
-            )
 
     def _size_of(self, unit: str) -> float:
         """The spread of the first output that has this unit, or one."""
