@@ -267,8 +267,8 @@ class Problem(Viewed):
         Parameters
         ----------
         mapping : signal -> column, with its unit after a colon, before the problem's `channels`.
-        window, resample, name, mark_missing : as `casid.read_record`, except that empty cells and
-            rows that an even clock leaves out are missing samples here; Inf has to be marked.
+        window, resample, name, mark_missing : as `casid.read_record`, except that rows that an
+            even clock leaves out are missing samples here, as empty cells are.
         form : how the file is written, before the problem's `form`.
         ignore : columns to leave out.
 

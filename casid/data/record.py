@@ -218,17 +218,17 @@ class Record(RecordMethods, Presented, PickledByFields):
             If the window is empty, reaches outside the record, or keeps fewer than two samples.
         """
         end = self.t0 + (self.N - 1) * self.Ts
-        span = f"{self.name} runs from {self.t0:g} to {end:g} s of its own clock"
+        span = f"{self.name} runs from {self.t0:.9g} to {end:.9g} s of its own clock"
         if not start < stop:
             raise DataError(
-                f"window {start:g}:{stop:g} s is empty or backward; {span}. "
+                f"window {window_text(start, stop)} s is empty or backward; {span}. "
                 "Give the earlier time first."
             )
         slack = (1 + 1e-6) * self.Ts  # a record of N samples lasts N Ts
         outside = [x for x in (start, stop) if np.isfinite(x)]
         if any(x < self.t0 - slack or x > end + slack for x in outside):
             raise DataError(
-                f"window {start:g}:{stop:g} s reaches outside the record; {span}. "
+                f"window {window_text(start, stop)} s reaches outside the record; {span}. "
                 "Give a window inside that span, or leave an end open (12: or :194)."
             )
         tolerance = 1e-6  # of a sample: decimal limits meet their sample in spite of rounding
@@ -238,7 +238,7 @@ class Record(RecordMethods, Presented, PickledByFields):
         last = int(np.floor(highest + tolerance))
         if last - first < 1:
             raise DataError(
-                f"window {start:g}:{stop:g} s keeps "
+                f"window {window_text(start, stop)} s keeps "
                 f"{count_text(max(last - first + 1, 0), 'sample')}; {span} "
                 f"with Ts = {self.Ts:g} s. Widen the window to at least two samples."
             )

@@ -82,13 +82,13 @@ class RecordMethods:
         time : the time column; found by its name, or the index, where not given.
         Ts : sample time [s] of a table without time; its clock starts at 0.
         resample : sample time [s] of a uniform grid for a table sampled irregularly.
-        mark_missing : mark NaN and Inf as missing instead of refusing them.
+        mark_missing : mark Inf as missing, as NaN is, instead of refusing it.
         name : default the frame's ``attrs["name"]``, or "frame".
 
         Raises
         ------
         DataError
-            For a clock that is not uniform, columns that are missing or not finite.
+            For a clock that is not uniform, columns that are missing, empty or not finite.
         UnitError
             For a unit that cannot be read.
         """

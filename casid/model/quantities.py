@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 
 _PREFIXED = re.compile(r"(rad|Hz|Pa|[mNVAWJ])(?![\w^])")
 """Units that take a prefix where they stand first, to the power of one."""
@@ -108,8 +109,12 @@ def growth_text(times: float) -> str:
 
 
 def window_text(start: float, stop: float) -> str:
-    """A window of time [s] as the option --window has it, "10:30"; an open end is left empty."""
-    return ":".join(f"{end:g}" if math.isfinite(end) else "" for end in (start, stop))
+    """A window of time [s] as the option --window has it, "10:30"; an open end is left empty.
+
+    Twelve digits tell milliseconds of a clock that counts since 1970.
+    """
+    ends = [Decimal(f"{end:.12g}") if math.isfinite(end) else None for end in (start, stop)]
+    return ":".join("" if end is None else f"{end:f}" for end in ends)
 
 
 def count_text(n: int, noun: str) -> str:

@@ -19,12 +19,13 @@ from casid.data.reading.clocks.time_stamps import (
     of_stamps,
     of_times_of_day,
 )
-from casid.data.reading.columns import CLOCK_FORMATS, ColumnSpec
+from casid.data.reading.columns import CLOCK_FORMATS, ColumnSpec, unit_of_column
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.layout import NO_VALUE
 from casid.data.reading.number_marks import Evidence, decimal_mark, plain_number
 from casid.data.reading.tables import Table
 from casid.errors import DataError
+from casid.model.quantities import are, count_text
 from casid.model.units import to_si
 
 if TYPE_CHECKING:
@@ -157,17 +158,41 @@ def non_finite(
     rows: NDArray[np.intp],
     times: FloatArray | None,
 ) -> Fault:
-    """Samples that are not finite: how many, and where the first is."""
+    """Samples that are not finite: how many, and where the first is; none in an empty column."""
     bad = ~np.isfinite(numbers)
     first, nans = int(np.argmax(bad)), int(np.isnan(numbers).sum())
+    column = f"{table.path.name}: column {spec.column!r} (channel {channel})"
+    if nans == numbers.size:
+        option = shlex.quote(f"{channel}=COLUMN")
+        return Fault(
+            "empty",
+            f"{column} is empty: none of its {numbers.size} cells holds a value.",
+            f"Name the column that was recorded, as in --map {option}, give a window that holds "
+            f"values, or leave {channel} out of the model or the columns to read.",
+            spec.column,
+        )
     at = f", t = {times[first]:g} s" if times is not None else ""
     return Fault(
         "non-finite",
-        f"{table.path.name}: column {spec.column!r} (channel {channel}) holds {int(bad.sum())} "
-        f"samples that are not finite ({nans} empty or NaN, {int(bad.sum()) - nans} Inf), the "
+        f"{column} holds {count_text(int(bad.sum()), 'sample')} that {are(int(bad.sum()))} not "
+        f"finite ({nans} empty or NaN, {int(bad.sum()) - nans} Inf), the "
         f"first at {table.place(int(rows[first]))} (k = {first}{at}).",
-        "Leave them out with a window, or mark them missing (--mark-missing, mark_missing=True).",
+        "Leave them out with a window, empty the cells that hold Inf, or mark them missing "
+        "(--mark-missing; mark_missing=True of read_record, Record.from_frame and Problem.read).",
         spec.column,
+    )
+
+
+def without_values(table: Table, column: str, found: Survey) -> None:
+    """Note an empty column that is not read; a doubt where its name has a unit."""
+    unit = unit_of_column(table, column)
+    text = f"column {column} left out: it is empty"
+    if unit is None or not unit.is_sure:
+        found.notes.append(text)
+        return
+    remedy = "Export the measurement again, if the signal was recorded."
+    found.doubts.append(
+        Fault("empty", f"{text}, though it has the unit {unit.text}.", remedy, column)
     )
 
 
@@ -219,6 +244,7 @@ def times_of(
 def _noted(stamps: Stamps, table: Table, found: Survey) -> FloatArray:
     if table.origin is None and stamps.text:
         found.notes.append(f"time stamps are {stamps.text}")
+    found.counted = "since midnight" if stamps.origin is None else "since the first stamp"
     table.origin = stamps.origin if table.origin is None else table.origin
     return stamps.seconds
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import FloatArray
 from casid.data.reading.cells import numbers_of, stands_for_none
-from casid.data.reading.clocks.even_clock import jitter_text
+from casid.data.reading.clocks.even_clock import even_step, jitter_text
 from casid.data.reading.columns import ColumnSpec, is_dated, time_unit, unit_of_column
 from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.tables import Table
@@ -84,7 +84,7 @@ def _step(times: FloatArray | None) -> float | None:
     median = float(np.median(intervals))
     if median <= 0 or jitter_text(times) is None:
         return None
-    return float(times[-1] - times[0]) / (times.size - 1)
+    return even_step(times)
 
 
 def _is_copy(a: FloatArray, b: FloatArray) -> bool:

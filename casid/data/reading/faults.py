@@ -70,6 +70,7 @@ class Survey:
     notes : what was read and how, where it is not plain: time stamps, lines that are not read ...
     doubts : what keeps no record from being read, but may be a mistake.
     units : channel -> the unit in which the file has it.
+    counted : from when the times count, where they are dates or times of day; empty for numbers.
     """
 
     path: Path
@@ -81,6 +82,7 @@ class Survey:
     notes: list[str] = field(default_factory=list)
     doubts: list[Fault] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)
+    counted: str = ""
 
     def with_fault(self, fault: Fault) -> Survey:
         """Itself, one fault more noted."""

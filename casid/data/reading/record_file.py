@@ -55,8 +55,8 @@ def read_record(
     Ts : float, optional
         Sample time [s] of a file without time stamps; its clock starts at 0.
     mark_missing : bool
-        Mark empty cells, NaN and Inf as missing instead of refusing them, and take every sample of
-        an uneven clock, or of channels with clocks of their own, at its own instant.
+        Mark Inf as missing, as empty cells and NaN are, instead of refusing it, and take every
+        sample of an uneven clock, or of channels with clocks of their own, at its own instant.
     form : FileFormat, optional
         How the file is written, where the file itself leaves it open: order of dates, decimal
         mark, encoding, sheet, time zone, cells that stand for no value.

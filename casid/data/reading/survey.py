@@ -11,10 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
-from casid.data.reading.cells import non_finite, numbers_of, stands_for_none, times_of
+from casid.data.reading.cells import (
+    non_finite,
+    numbers_of,
+    stands_for_none,
+    times_of,
+    without_values,
+)
 from casid.data.reading.clocks.absent_rows import EvenClock, even_clock
 from casid.data.reading.clocks.even_clock import (
     UNIFORM,
+    even_step,
     jitter_text,
     repeated_rows,
     time_faults,
@@ -51,8 +58,8 @@ if TYPE_CHECKING:
 class ReadingOptions:
     """How a file is read: `time` to `form` of `casid.read_record`.
 
-    `takes_gaps`: empty cells are missing samples, and rows that an even clock leaves out as well;
-    otherwise either is a fault. Then, and with `mark_missing`, channels may have own clocks.
+    Empty cells are missing samples. `takes_gaps`: so are rows that an even clock leaves out;
+    otherwise these are a fault. Then, and with `mark_missing`, channels may have own clocks.
     `held`: channels that stand until their next row (`EvenClock.spread`).
     """
 
@@ -388,14 +395,15 @@ def _channels(
                 found.notes.append(f"column {spec.column} left out: it holds no numbers")
             continue
         if skip_text and not np.isfinite(numbers).any():
-            found.notes.append(f"column {spec.column} left out: it is empty")
+            without_values(table, spec.column, found)
             continue
         numbers = numbers[rows]
         bad = ~np.isfinite(numbers)
         if bad.any():
-            is_empty = options.takes_gaps and not np.isinf(numbers).any() and not bad.all()
-            if not (options.mark_missing or is_empty):
+            if not options.mark_missing and (np.isinf(numbers).any() or bad.all()):
                 found.faults.append(non_finite(table, channel, spec, numbers, rows, found.times))
+                if bad.all():
+                    continue
             channels.missing[channel] = bad
             steps.append(
                 f"{count_text(int(bad.sum()), 'sample')} of {channel} not finite, marked missing"
@@ -454,8 +462,8 @@ def _record(
         if text := jitter_text(times):
             found.notes.append(text)
             steps = [*steps, f"remark: {text}"]
-        step = float(times[-1] - times[0]) / (times.size - 1)
-        return Record(values, units, step, float(times[0]), name, missing, tuple(steps))
+        step, t0 = even_step(times), float(times[0])
+        return Record(values, units, step, t0, name, missing, tuple(steps))
     try:
         return resampled(times, values, units, missing, resample, name, steps)
     except DataError as error:

@@ -11,8 +11,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.reading.columns import ColumnSpec
-from casid.data.reading.frames import is_frame, record_of_frame, table_of
-from casid.data.reading.survey import ReadingOptions
+from casid.data.reading.frames import is_frame, open_frame, record_of_frame, table_of
+from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.fitted.parts import Channels, FittedRecord
@@ -52,8 +52,12 @@ def driving_of(
     inputs: Any,
     Ts: float | None,
     channels: Channels,
+    *,
+    needs_outputs: bool = True,
 ) -> Driving:
     """Inputs in any form, in the order and units of `model`.
+
+    Outputs of a table that cannot be read are left out where nothing needs them.
 
     Raises
     ------
@@ -64,7 +68,7 @@ def driving_of(
     if Ts is not None and not (np.isfinite(Ts) and Ts > 0):
         raise DataError(f"{model.name}: Ts = {Ts!r} s; give a positive number of seconds")
     if is_frame(inputs):
-        inputs = _record_of(inputs, model, channels)
+        inputs = _record_of(inputs, model, channels, needs_outputs=needs_outputs)
     if isinstance(inputs, Record):
         inputs = Experiment(inputs)
     if isinstance(inputs, Experiment):
@@ -87,7 +91,7 @@ def driving_of(
     return _of_arrays(model, inputs, fitted[0].Ts if Ts is None else float(Ts))
 
 
-def _record_of(frame: Any, model: Model, channels: Channels) -> Record:
+def _record_of(frame: Any, model: Model, channels: Channels, *, needs_outputs: bool) -> Record:
     """The model's signals from a table, each from its column; outputs may be absent."""
     there = {str(column) for column in table_of(frame).columns}
     units = {n: u.unit for n, u in model.inputs.items() if u.kind != "generated"}
@@ -102,9 +106,12 @@ def _record_of(frame: Any, model: Model, channels: Channels) -> Record:
             )
         if name in units or (column or name) in there:
             specs[name] = ColumnSpec(column or name, given or None, model.unit_of(name) or unit)
-    return record_of_frame(
-        frame, specs, options=ReadingOptions(time=channels.time or None, form=channels.form)
-    )
+    options = ReadingOptions(time=channels.time or None, form=channels.form)
+    if not needs_outputs and units:
+        found = survey(open_frame(frame, form=channels.form), specs, options, describe=False)
+        unread = {f.column for f in found.faults}
+        specs = {n: s for n, s in specs.items() if n in units or s.column not in unread}
+    return record_of_frame(frame, specs, options=options)
 
 
 def _of_arrays(model: Model, inputs: Any, Ts: float) -> Driving:

@@ -157,7 +157,7 @@ class FittedModel(Saved, Exportable, Viewed):
         SolveError
             If the simulation diverges: at which time.
         """
-        given = self._driving(inputs, Ts)
+        given = self._driving(inputs, Ts, needs_outputs=False)
         return self._simulated(given, self._start_in_si(x0), self._known_in_si(known), on_clock)
 
     def predict(
@@ -342,8 +342,9 @@ class FittedModel(Saved, Exportable, Viewed):
                 new.inputs[w.where] = replace(new.inputs[w.where], kind="generated", signal=None)
         return new
 
-    def _driving(self, inputs: Inputs, Ts: float | None) -> Driving:
-        return driving_of(self._driven, self.records, inputs, Ts, self.channels)
+    def _driving(self, inputs: Inputs, Ts: float | None, *, needs_outputs: bool = True) -> Driving:
+        model, fitted, channels = self._driven, self.records, self.channels
+        return driving_of(model, fitted, inputs, Ts, channels, needs_outputs=needs_outputs)
 
     def _known_in_si(self, known: Mapping[str, float] | None) -> dict[str, float]:
         return self.model.in_si(known or {})

@@ -17,13 +17,16 @@ def test_a_record_comes_back_from_its_table():
     frame = run.to_frame()
     assert (frame.index.name, list(frame.columns)) == ("t", ["force", "position"])
     assert np.isnan(frame["position"].to_numpy()).sum() == 1
-    again = casid.Record.from_frame(frame, mark_missing=True)
+    again = casid.Record.from_frame(frame)
     assert (again.name, again.units) == (run.name, run.units)
     assert again.Ts == pytest.approx(TS, rel=1e-12)
     assert np.array_equal(again["force"], run["force"])
     assert np.array_equal(again.is_missing("position"), gap)
-    with pytest.raises(casid.DataError, match="1 samples that are not finite"):
+    frame.loc[0.0, "force"] = np.inf
+    with pytest.raises(casid.DataError, match="1 sample that is not finite .*, 1 Inf.*from_frame"):
         casid.Record.from_frame(frame)
+    marked = casid.Record.from_frame(frame, mark_missing=True)
+    assert np.flatnonzero(marked.is_missing("force")).tolist() == [0]
 
 
 def test_units_are_given_or_read_from_the_names_and_kept_in_si():

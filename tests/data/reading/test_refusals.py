@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from casid.data.quality import check
+from casid.data.reading.clocks.even_clock import time_faults
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.record_file import read_record
+from casid.data.record import Record
 from casid.errors import DataError
 from tests.support.text_tables import T, rows
 
@@ -118,3 +121,56 @@ def test_random_instants_are_refused_with_the_option_that_takes_them(csv):
     there = ~found.is_missing("y")
     assert found["y"][there].tolist() == t.tolist()
     assert np.abs(found.t[there] - t + t[0] - found.t[0]).max() <= 0.1 * np.median(np.diff(t))
+
+
+def test_an_empty_column_is_called_empty_by_name_with_what_to_do(csv):
+    path = csv("t [s],F [N],y [m],remark\n" + "".join(f"{k},{k % 3},,\n" for k in range(9)))
+    said = r"column 'y \[m\]' \(channel y\) is empty: none of its 9 cells.*--map y=COLUMN"
+    with pytest.raises(DataError, match=said):
+        read_record(path, {"F": "F [N]", "y": "y [m]"})
+    (error,) = [
+        f for f in check(path, {"F": "F [N]", "y": "y [m]"}).findings if f.severity == "error"
+    ]
+    assert "is empty" in error.text
+    # Without a model, it is doubtful that what has a unit was not recorded; a remark is no signal.
+    found = {f.channel: f for f in check(path).findings if "left out: it is empty" in f.text}
+    assert found["y [m]"].severity == "warning"
+    assert found[None].severity == "note"
+
+
+def test_empty_cells_are_missing_samples_however_a_table_is_read(csv):
+    text = "t,F [N],y [m]\n" + "".join(f"{k},{k % 3},{k if k % 4 else ''}\n" for k in range(12))
+    record = read_record(csv(text))
+    assert np.flatnonzero(record.is_missing("y [m]")).tolist() == [0, 4, 8]
+    again = Record.from_frame(record.to_frame())
+    assert np.array_equal(again.is_missing("y [m]"), record.is_missing("y [m]"))
+
+
+def test_a_clock_without_fractions_of_a_second_is_not_called_disordered(csv):
+    """Fifty rows a second under one stamp: the counts give the sample time that reads them."""
+    clock = [f"09:{14 + k // 3000}:{k // 50 % 60:02d}" for k in range(17, 17 + 400)]
+    path = csv("time;y [m]\n" + "".join(f"{t};{k}\n" for k, t in enumerate(clock)))
+    with pytest.raises(DataError, match="no fractions of a second, 50 rows share") as caught:
+        read_record(path)
+    assert "--sample-time 0.02 (Ts=0.02) reads" in str(caught.value)
+    assert read_record(path, Ts=0.02).N == 400
+    # Thirty and a third rows a second.
+    times = np.floor(np.arange(400) / (91 / 3))
+    (fault,) = time_faults(times, "run")
+    assert "30 to 31 rows share" in fault.text
+    # One stamp among many that is there twice is disorder.
+    (fault,) = time_faults(np.array([0, 1, 2, 2, 3, 4, 5, 5, 6.0]), "run")
+    assert fault.remedy.startswith("Sort the file and drop doubled rows")
+
+
+@pytest.mark.parametrize(
+    ("first", "counted"),
+    [("09:14:{:02d}", "since midnight"), ("2024-03-14 09:14:{:02d}", "since the first stamp")],
+)
+def test_a_window_outside_says_from_when_the_times_count(csv, first, counted):
+    path = csv("time,y\n" + "".join(f"{first.format(k)},{k}\n" for k in range(20)))
+    with pytest.raises(DataError, match=f"of its own clock, counted {counted}"):
+        read_record(path, window=(100.0, 200.0))
+    path = csv("t,y\n" + "".join(f"{k},{k}\n" for k in range(20)))
+    with pytest.raises(DataError, match=r"of its own clock\. Give"):
+        read_record(path, window=(100.0, 200.0))

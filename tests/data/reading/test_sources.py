@@ -42,7 +42,7 @@ def test_an_empty_load_case_is_refused():
 
 def test_only_what_is_inside_the_window_is_judged(csv):
     values = np.sin(T)
-    values[3] = np.nan
+    values[3] = np.inf
     path = csv(rows(T, values, T))
     with pytest.raises(DataError, match="not finite"):
         read_record(path)

@@ -301,3 +301,27 @@ def test_a_diagnosis_leaves_the_model_with_its_causes_for_the_record_as_it_is():
     assert found.model.baseline.values["k"] == found.baseline["k"]
     fit = found.model.compare(turned).to_frame()["position"]
     assert fit.iloc[0] > 99.0 > 50.0 > fit.iloc[1]
+
+
+def test_a_table_with_empty_cells_is_compared_without_them_and_simulated_whatever_its_outputs(
+    estimate,
+):
+    model = estimate.model
+    frame = record().to_frame().rename(columns={"position": "x_mm"})
+    frame.attrs.clear()
+    frame["x_mm"] *= 1e3
+    whole = model.simulate(frame)
+    gaps = frame.copy()
+    gaps.loc[gaps.index[[5, 6, 200]], "x_mm"] = np.nan
+    compared = model.compare(gaps)
+    assert np.flatnonzero(np.isnan(compared.measured[:, 0])).tolist() == [5, 6, 200]
+    for spoilt in (np.nan, np.inf, "off"):
+        outputs = gaps.astype({"x_mm": object})
+        outputs["x_mm"] = spoilt
+        assert np.array_equal(model.simulate(outputs)["position"], whole["position"])
+        with pytest.raises(casid.DataError, match="'x_mm'"):
+            model.compare(outputs)
+    inputs = frame.copy()
+    inputs.loc[inputs.index[100:300], "force"] = np.nan
+    with pytest.raises(casid.DataError, match="force"):
+        model.simulate(inputs)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,26 @@ def jitter_text(times: FloatArray) -> str | None:
     )
 
 
+def even_step(times: FloatArray) -> float:
+    """The mean interval [s] of stamps (N,), in the digits that they determine.
+
+    It is the shortest decimal that leaves the last stamp within half of the last digit that the
+    clock shows: floating-point noise of a difference is no sample time.
+    """
+    step = float(times[-1] - times[0]) / (times.size - 1)
+    slack = 0.5 * _last_digit(times) / (times.size - 1)
+    shorter = (float(f"{step:.{digits}e}") for digits in range(17))
+    return next((s for s in shorter if 0 < s and abs(s - step) <= slack), step)
+
+
+def _last_digit(times: FloatArray) -> float:
+    """The decimal place [s] of stamps, at most a second: 0.001 for milliseconds."""
+    noise = float(np.spacing(np.abs(times).max()))
+    places = range(max(0, math.ceil(-math.log10(noise))))
+    shown = (k for k in places if np.abs(times - np.round(times, k)).max() <= 2 * noise)
+    return next((10.0**-k for k in shown), noise)
+
+
 def time_faults(
     times: FloatArray, name: str, place: Callable[[int], str] = lambda k: f"k = {k}"
 ) -> list[Fault]:
@@ -65,14 +86,19 @@ def time_faults(
     faults = []
     if doubled.size or backward.size:
         first = int(min([*doubled[:1], *backward[:1]])) + 1
-        faults.append(
-            Fault(
-                "order",
-                f"{name}: {_disorder(doubled.size, backward.size)}, first at {place(first)} "
-                f"(t = {times[first]:.9g} s after {times[first - 1]:.9g} s).",
-                "Sort the file and drop doubled rows, or cut it where the clock was reset.",
-            )
+        coarse = None if backward.size else _coarse_clock(times)
+        text = (
+            f"{name}: {_disorder(doubled.size, backward.size)}, first at {place(first)} "
+            f"(t = {times[first]:.9g} s after {times[first - 1]:.9g} s)"
         )
+        remedy = "Sort the file and drop doubled rows, or cut it where the clock was reset."
+        if coarse is not None:
+            text += f": {coarse.text}"
+            remedy = (
+                f"--sample-time {coarse.step:.6g} (Ts={coarse.step:.6g}) reads rows that were "
+                "recorded evenly, as the counts say; or export the time with more digits."
+            )
+        faults.append(Fault("order", f"{text}.", remedy))
         return faults
     median = float(np.median(intervals))
     off = np.abs(intervals - median) > UNIFORM * median * (1 + 1e-9)
@@ -94,6 +120,36 @@ def time_faults(
             )
         )
     return faults
+
+
+class _CoarseClock(NamedTuple):
+    """A clock whose stamps several rows in a row share, as many each time.
+
+    Attributes
+    ----------
+    text : what it lacks, in words.
+    step : sample time that the counts give [s].
+    """
+
+    text: str
+    step: float
+
+
+def _coarse_clock(times: FloatArray) -> _CoarseClock | None:
+    """Stamps that run forward evenly, each shared by the same number of rows, or by one more."""
+    starts = np.flatnonzero(np.diff(times) > 0) + 1  # of every stamp but the first
+    counts, ticks = np.diff(starts), np.diff(times[starts])
+    if counts.size < 2 or counts.min() < 2 or np.ptp(counts) > 1:
+        return None
+    if max(starts[0], times.size - starts[-1]) > counts.max():
+        return None
+    tick = float(np.median(ticks))
+    if (np.abs(ticks - tick) > UNIFORM * tick).any():
+        return None
+    lack = "no fractions of a second" if tick == 1 else "too few digits"
+    shared = " to ".join(str(n) for n in sorted({int(counts.min()), int(counts.max())}))
+    text = f"the clock has {lack}, {shared} rows share each of its stamps, {tick:.6g} s apart"
+    return _CoarseClock(text, tick * counts.size / int(counts.sum()))
 
 
 def _disorder(doubled: int, backward: int) -> str:
@@ -153,7 +209,8 @@ def window_rows(
     start, stop = window
     low, high = float(times.min()), float(times.max())
     slack = (high - low) / max(times.size - 1, 1)
-    span = f"{name} runs from {low:.9g} to {high:.9g} s of its own clock"
+    counted = f", counted {found.counted}" if found.counted else ""
+    span = f"{name} runs from {low:.9g} to {high:.9g} s of its own clock{counted}"
     label = f"window {window_text(start, stop)} s"
     problem = remedy = ""
     tiny = 1e-6 * slack

@@ -22,7 +22,7 @@ from casid.estimation.simulation.channels.own_instants import lateness_of_steps
 from casid.estimation.simulation.thresholds import INPUT_GAPS
 from casid.model.declarations import Hold
 from casid.model.model import Model
-from casid.model.quantities import count_text
+from casid.model.quantities import count_text, window_text
 
 _CUT = "remark: cut at long gaps of "
 FILLED = "remark: filled: "
@@ -258,7 +258,7 @@ def _parts(model: Model, experiment: Experiment) -> list[Experiment]:
             f"its own; {record.N - kept} of {record.N} samples lie in the gaps or beside them"
         )
         part = replace(part, provenance=(*part.provenance, text))
-        name = f"{experiment.name}@{part.t[0]:g}:{part.t[-1]:g}"
+        name = f"{experiment.name}@{window_text(part.t[0], part.t[-1])}"
         parts.append(replace(experiment, record=part, name=name))
     return parts
 

@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from casid.data.reading.clocks.even_clock import time_faults
+from casid.data.reading.clocks.even_clock import even_step, time_faults
 from casid.data.reading.clocks.resampling import resample
 from casid.data.reading.record_file import read_record
 from casid.errors import DataError
+from casid.model.quantities import window_text
 from tests.support.text_tables import T, rows
 
 
@@ -151,3 +152,36 @@ def test_what_is_not_finite_is_marked_missing_on_request(csv):
     record = read_record(csv(rows(T, values, T)), mark_missing=True)
     assert np.flatnonzero(record.is_missing("phi_deg")).tolist() == [3, 7]
     assert "2 samples of phi_deg not finite, marked missing" in record.provenance
+
+
+@pytest.mark.parametrize(
+    ("times", "step"),
+    [
+        (np.round(33298 + 0.02 * np.arange(1500), 3), 0.02),
+        (np.round(0.0125 * np.arange(800), 3), 0.0125),
+        (60.0 * np.arange(50), 60.0),
+        (1e-6 * np.arange(0, 3500, 7), 7e-6),
+    ],
+)
+def test_the_step_of_a_clock_has_the_digits_that_its_stamps_determine(times, step):
+    assert even_step(times) == step
+
+
+def test_the_step_of_a_clock_keeps_its_last_stamp():
+    """Thirtieths of a second in milliseconds: no rounding moves a stamp by one that it shows."""
+    stamps = np.round(np.arange(1000) / 30, 3)
+    assert abs(999 * even_step(stamps) - stamps[-1]) <= 0.5e-3
+    exact = np.arange(1000) / 30
+    assert even_step(exact) == pytest.approx(1 / 30, rel=1e-15)
+
+
+def test_a_window_is_named_with_the_digits_that_tell_it_apart(csv):
+    stamps = 33298 + 0.01 * np.arange(300)
+    path = csv("t,y\n" + "".join(f"{t:.2f},{k}\n" for k, t in enumerate(stamps)))
+    record = read_record(f"{path}@33298:33298.05")
+    assert record.name == "run@33298:33298.05"
+    assert record.between(33298.01, 33298.04).name.endswith("@33298.01:33298.04")
+    assert window_text(1710404098.0, 1710404110.0) == "1710404098:1710404110"
+    assert window_text(-np.inf, 1e-5) == ":0.00001"
+    with pytest.raises(DataError, match=r"window 33298.01:33400.5 .* from 33298 to 33298.05"):
+        record.between(33298.01, 33400.5)

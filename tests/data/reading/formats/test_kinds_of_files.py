@@ -328,7 +328,8 @@ KINDS = [
          refused="two clocks, columns 't#1' and 't#3'", remedy="--map t='t#3'"),
     # ------------------------------------------------------------------ cells
     Kind("NaN, dashes and #N/A", table().replace("1234.5", "NaN").replace("17.0", "-")
-         .replace("999.25", "#N/A"), refused="3 samples that are not finite.*line 5",
+         .replace("999.25", "#N/A"), said="3 samples of F [N] not finite, marked missing"),
+    Kind("Inf", table().replace("1234.5", "Inf"), refused="1 sample that is not finite.*line 5",
          remedy="--mark-missing"),
     Kind("text that stands for no value", table().replace("17.0", "Fehler"),
          refused="text in 1 of 12 cells.*line 6: 'Fehler'",
@@ -338,7 +339,7 @@ KINDS = [
     Kind("mixed sampling, a value in every fourth row",
          "\n".join(f"{line},{k if k % 4 == 0 else ''}" if k >= 0 else line + ",slow"
          for k, line in enumerate(table().splitlines(), start=-1)),
-         refused="column 'slow'.*9 samples", remedy="--mark-missing"),
+         said="9 samples of slow not finite, marked missing"),
     Kind("1,234 in quotes", table().replace("1234.5", '"1,234"').replace("999.25", "999"),
          refused="'1,234', which may be 1.234 or 1234", remedy="--decimal"),
     Kind("decimal commas between commas", table(number=comma), refused="names 3 columns",
