@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import shlex
 from collections.abc import Iterable
 
 
@@ -43,6 +44,12 @@ class OutOfTimeError(SolveError):
         self.found = found
 
 
+class UnknownNameError(CasidError, KeyError):
+    """A result holds nothing of the name in brackets, as in `estimate["mass"]`."""
+
+    __str__ = Exception.__str__  # a KeyError would show its text in quotes
+
+
 def require_texts(where: str, **texts: Iterable[object]) -> None:
     """Refuse names and units that are no texts.
 
@@ -57,12 +64,24 @@ def require_texts(where: str, **texts: Iterable[object]) -> None:
                 raise ModelError(f"{where}: {what} {text!r} is no text; put it in quotes")
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """``; did you mean 'b1'?`` for the nearest known name, or what there is; for messages."""
+def shell_option(name: str, value: str) -> str:
+    """`--map 'phi=roll angle'`: an option as a shell takes it; for messages."""
+    return f"{name} {shlex.quote(value)}"
+
+
+def nearest(name: str, known: Iterable[str], *, is_listed: bool = False) -> str:
+    """``; did you mean 'b1'?`` for the nearest known name, or what there is; for messages.
+
+    Parameters
+    ----------
+    is_listed : the message says what there is already.
+    """
     known = sorted(set(known))
     lowered = {k.lower(): k for k in reversed(known)}
     close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
     if close:
         return f"; did you mean {lowered[close[0]]!r}?"
+    if is_listed:
+        return ""
     listing = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; known are: {listing}" if known else "; none is declared"

@@ -25,13 +25,14 @@ class Exportable:
 
     __slots__ = ()
 
-    def to_problem_file(self, path: str | Path) -> Path:
+    def to_problem_file(self, path: str | Path, *, force: bool = False) -> Path:
         """Write a Python problem file with the extended model, as a person would have written it.
 
         The causes are terms like all others, with a comment; unknown parameters start at the
         estimates, in the units they were declared in. `casid identify` on it gives the same fit.
+        A file that exists is written over only with `force`: it may be one written by hand.
         """
-        return _written(_of("problem_file", "write_problem_file")(self, Path(path)))
+        return _written(_of("problem_file", "write_problem_file")(self, Path(path), force=force))
 
     def to_casadi(self, parameters: Sequence[str] = (), *, without_delays: bool = False) -> Any:
         """The equations and the step of the fit as one ``casadi.Function``.

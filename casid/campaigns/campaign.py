@@ -34,7 +34,7 @@ from casid.campaigns.dask_backend import outliving_workers
 from casid.campaigns.manifest import manifest_of
 from casid.campaigns.parquet_parts import FAILED, RUN, Parts
 from casid.campaigns.progress import reported
-from casid.errors import CasidError, DataError, SolveError
+from casid.errors import CasidError, DataError, SolveError, UnknownNameError
 from casid.model.quantities import are, count_text
 from casid.time_limit import seconds_left, wall_clock
 
@@ -85,12 +85,12 @@ class Campaign:
 
         Raises
         ------
-        KeyError
+        UnknownNameError
             If no run has such a result.
         """
         if name not in self.table.columns or name in (RUN, FAILED):
             there = [c for c in self.table.columns if c not in (RUN, FAILED)]
-            raise KeyError(f"no result {name!r}; there are {', '.join(there) or 'none'}")
+            raise UnknownNameError(f"no result {name!r}; there are {', '.join(there) or 'none'}")
         return np.asarray(self.table.loc[self.table[FAILED].isna(), name].to_numpy())
 
     def __repr__(self) -> str:

@@ -26,7 +26,7 @@ from casid.campaigns.manifest import manifest_of, name_of
 from casid.campaigns.problem_origin import ProblemOrigin, digest
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem, load_problem
-from casid.errors import DataError, ModelError, OutOfTimeError, SolveError
+from casid.errors import DataError, ModelError, OutOfTimeError, SolveError, UnknownNameError
 from casid.estimation.estimate import Estimate
 from casid.estimation.nlp.solver import _is_installed, as_solver
 from casid.estimation.simulation.fit import FitSettings
@@ -79,7 +79,7 @@ class MonteCarlo(Presented, Saved):
         for p in self.parameters:
             if p.name == name:
                 return p
-        raise KeyError(
+        raise UnknownNameError(
             f"no parameter {name!r}; there are {', '.join(p.name for p in self.parameters)}"
         )
 

@@ -10,7 +10,7 @@ import click
 from casid.cli.request import parse_setting
 from casid.cli.result_file import fitted_model
 from casid.cli.terminal import say
-from casid.errors import DataError
+from casid.data.files import refuse_existing
 
 
 @click.command()
@@ -68,8 +68,7 @@ def export(
 
     require_target(target)
     path = checked_path(out, target)
-    if path.exists() and not force:
-        raise DataError(f"{path} exists; name another file with --out, or add --force")
+    refuse_existing(path, force=force)
     model = fitted_model(result)
     point = dict(parse_setting(text, "--at") for text in at)
     say(f"wrote {run(model, target, path, at=point, **delays)}")

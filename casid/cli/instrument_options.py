@@ -77,9 +77,10 @@ class InstrumentRequest:
         channels = [*problem.recorded, *problem.model.inputs, *others]
         if self.reference not in channels:
             raise DataError(
-                f"--reference {self.reference}: problem {problem.name} reads no such channel"
-                f"{nearest(str(self.reference), channels)}. Declare it in the problem "
-                f"file: casid.Problem(..., recorded={{{self.reference!r}: unit}})"
+                f"--reference {self.reference}: problem {problem.name} reads no such channel; "
+                "declare it in the problem file, "
+                f"casid.Problem(..., recorded={{{self.reference!r}: unit}})"
+                f"{nearest(str(self.reference), channels)}"
             )
 
     def freed(self, problem: Problem) -> tuple[Problem, tuple[str, ...] | None]:

@@ -159,6 +159,6 @@ def _initial(fitted: FittedModel, texts: tuple[str, ...]) -> dict[str, float] | 
             there = ", ".join(fitted.model.states)
             raise DataError(
                 f"--x0 {name}: {fitted.name} has no such state; it has {there}"
-                f"{nearest(name, fitted.model.states)}"
+                f"{nearest(name, fitted.model.states, is_listed=True)}"
             )
     return given or None

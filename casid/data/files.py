@@ -69,6 +69,18 @@ def write_json(path: Path, content: dict[str, Any]) -> Path:
     return write_text(path, json.dumps(plain(content), indent=1, allow_nan=False) + "\n")
 
 
+def refuse_existing(path: Path, *, force: bool = False) -> None:
+    """Refuse a file that exists, unless it is to be written over.
+
+    Raises
+    ------
+    DataError
+        If it exists and `force` is not set.
+    """
+    if path.exists() and not force:
+        raise DataError(f"{path} exists; name another file, or add force=True (--force)")
+
+
 def output_folder(out: Path | None, default: str, *, force: bool = False) -> Path:
     """The folder to write to: `out`, or a new `reports/<default>-<n>`.
 

@@ -411,8 +411,8 @@ class Problem(Viewed):
         """
         if self.example is None:
             raise DataError(
-                f"problem {self.name} has no example data of its own; name a record: "
-                f"casid diagnose {self.name}.py data.csv"
+                f"problem {self.name} has no example data of its own; name a record behind the "
+                f"problem: {self.source.name if self.source else f'{self.name}.py'} data.csv"
             )
         given = self.example()
         return [self.experiment(given)] if isinstance(given, Record) else list(given)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from casid.arrays import FloatArray
+from casid.data.files import refuse_existing
 from casid.data.reading.columns import ColumnSpec
 from casid.data.record import Record
 from casid.errors import DataError
@@ -72,8 +73,7 @@ def require_new(path: Path, *, force: bool = False) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise DataError(f"{path}: write records as .csv or .parquet; give the file such an ending")
-    if path.exists() and not force:
-        raise DataError(f"{path} exists; name another file, or add force=True (--force)")
+    refuse_existing(path, force=force)
 
 
 def _in_unit(values: FloatArray, unit: str) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.files import write_json
 from casid.deprecation import renamed
+from casid.errors import UnknownNameError
 from casid.estimation.covariance import Sampled, sample_through
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.whiteness import Whiteness
@@ -283,7 +284,7 @@ class Estimate(Presented, Saved):
         for p in (*self.parameters, *self.initial_states):
             if p.name == name:
                 return p
-        raise KeyError(f"no parameter {name!r}; there are {', '.join(self.names)}")
+        raise UnknownNameError(f"no parameter {name!r}; there are {', '.join(self.names)}")
 
     def of_interval_kind(self, kind: str) -> tuple[str, ...]:
         """Parameters and initial states whose interval is of a kind, by name."""

@@ -89,7 +89,7 @@ def split_records(
     if not 0 <= hold_out < 0.9:
         raise DataError(
             f"a held-out share of {hold_out:g} leaves too little to fit; use 0 to 0.9, for example "
-            "0.3, or name a file"
+            "0.3, or hold out whole records"
         )
     sizes = [e.record.N for e in experiments]
     return _split_at(experiments, [n - int(round(hold_out * n)) for n in sizes])

@@ -125,8 +125,8 @@ class Reconciled(Presented):
             from casid.errors import nearest
 
             raise ModelError(
-                f"{self.title}: no quantity {name!r}{nearest(name, self.names)}; there are "
-                f"{', '.join(self.names)}"
+                f"{self.title}: no quantity {name!r}; there are {', '.join(self.names)}"
+                f"{nearest(name, self.names, is_listed=True)}"
             )
         return self.names.index(name)
 

@@ -151,8 +151,8 @@ def kinds_of(given: Sequence[str]) -> tuple[str, ...]:
     for kind in given:
         if kind not in _SHAPES:
             raise DataError(
-                f"{kind!r} is no kind of standard input{nearest(kind, _SHAPES)}; there are "
-                f"{', '.join(_SHAPES)}"
+                f"{kind!r} is no kind of standard input; there are {', '.join(_SHAPES)}"
+                f"{nearest(kind, _SHAPES, is_listed=True)}"
             )
     return tuple(given)
 

@@ -146,7 +146,7 @@ def _matrices(plain: PlainModel, at: Mapping[str, float], time: float) -> list[A
         if name not in names:
             raise ModelError(
                 f"{plain.name} has no state or input {name!r} to linearise at; it has "
-                f"{', '.join(names)}{nearest(name, names)}"
+                f"{', '.join(names)}{nearest(name, names, is_listed=True)}"
             )
     function = function_of(replace(plain, delays={}, dead_times={}), ())
     x, u, u_next, t, p = function.sx_in()

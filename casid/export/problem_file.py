@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 import casadi as ca
 
+from casid.data.files import refuse_existing
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.naming import checked_path, identifiers, written_by
@@ -50,15 +51,18 @@ _EXTENSIONS = {
 """How a stage is written: the function that makes its effect, and the size that it takes."""
 
 
-def write_problem_file(fitted: FittedModel, path: Path) -> Path:
-    """Write `path` (.py), a problem file with the fitted model in it.
+def write_problem_file(fitted: FittedModel, path: Path, *, force: bool = False) -> Path:
+    """Write `path` (.py), a problem file with the fitted model in it; over another with `force`.
 
     Raises
     ------
+    DataError
+        If the file exists and `force` is not set.
     ModelError
         If an input is a function of the user's own.
     """
     path = checked_path(path, "problem")
+    refuse_existing(path, force=force)
     path.write_text(problem_text(fitted), encoding="utf-8")
     return path
 

@@ -48,7 +48,7 @@ def export(
         raise DataError(f"export as {target} keeps the delays; leave --without-delays out")
     path = checked_path(Path(path), target)
     if target == "problem":
-        return fitted.to_problem_file(path)
+        return fitted.to_problem_file(path, force=True)  # refused by the caller, for any target
     if target == "modelica":
         return fitted.to_modelica(path)
     if target == "c":
@@ -74,5 +74,6 @@ def require_target(target: str) -> None:
     """
     if target not in TARGETS:
         raise DataError(
-            f"no export as {target!r}; it is one of {', '.join(TARGETS)}{nearest(target, TARGETS)}"
+            f"no export as {target!r}; it is one of {', '.join(TARGETS)}"
+            f"{nearest(target, TARGETS, is_listed=True)}"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from casid.data.problem import Problem
+from casid.errors import shell_option
 from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.simulation.instability import growth_rate
 
@@ -66,8 +67,8 @@ def _instruments(problem: Problem, found: Corrected) -> str:
             "not possible: beside the model's channels nothing is recorded that could be a "
             "reference"
         )
-    names = " or ".join(beside)
+    names, example = " or ".join(beside), shell_option("--reference", beside[0])
     return (
         "not chosen: only you can know whether a disturbance affects a signal; if none affects "
-        f"{names}: --reference {beside[0]}, or external={beside[0]!r} in the problem"
+        f"{names}: {example}, or external={beside[0]!r} in the problem"
     )

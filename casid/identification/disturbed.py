@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from shlex import quote
 
 import casadi as ca
 import numpy as np
 
 from casid.data.problem import Problem
-from casid.errors import CasidError, OutOfTimeError
+from casid.errors import CasidError, OutOfTimeError, shell_option
 from casid.estimation.covariance import LAGS_OUTSIDE, sandwich, whiteness
 from casid.estimation.estimate import Agreement, Estimate, RecordView
 from casid.estimation.fit_statistics import nrmse_fit, rms
@@ -84,9 +83,14 @@ def identify_unstable(task: Task, values: Mapping[str, float]) -> Estimate | Non
         raise
     except CasidError:
         return None
-    named = " ".join(f"--disturbance {d.place}:{d.spectrum}" for d in found.disturbances)
+    named = " ".join(map(_option, found.disturbances))
     evidence = {**estimate.evidence, "disturbances": _WHY_DISTURBED.format(named=named)}
     return replace(estimate, trust=replace(estimate.trust, evidence=evidence))
+
+
+def _option(d: Disturbance) -> str:
+    """How a command is asked for a disturbance."""
+    return shell_option("--disturbance", f"{d.place}:{d.spectrum}")
 
 
 def _coloured(task: Task, white: Disturbed) -> Disturbed:
@@ -168,12 +172,12 @@ def fed_back(model: Model, disturbances: Sequence[Disturbance]) -> list[str]:
         acts = symbols[names.index(d.source if d.spectrum == "white" else d.force)]
         for unknown, using in model.eliminations.items():
             if any(ca.which_depends(e.eliminated[unknown], acts, 1, False)):
+                both = f"{_option(d)} {_option(Disturbance(unknown, 'first'))}"
                 out.append(
                     f"input {using} responds directly to what acts in {d.place}, and feeds it "
                     "back: values may be biased by many standard errors. Estimate the model from "
                     f"which {unknown} is not eliminated, where {using} is an output and {unknown} "
-                    f"a disturbance, too (--disturbance {quote(f'{d.place}:{d.spectrum}')} "
-                    f"--disturbance {unknown}:first)"
+                    f"a disturbance, too ({both})"
                 )
     return out
 

@@ -18,7 +18,7 @@ import numpy as np
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.deprecation import renamed
-from casid.errors import CasidError, IdentifiabilityError, SolveError
+from casid.errors import CasidError, IdentifiabilityError, SolveError, UnknownNameError
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.nlp.solver import Solver
 from casid.identifiability.combinations.closed_form import joint_invariants
@@ -104,13 +104,13 @@ class Invariants(Presented):
 
         Raises
         ------
-        KeyError
+        UnknownNameError
             If it is neither.
         """
         if name in self.moving:
             return self.moving[name].interval
         if name not in self.identifiable:
-            raise KeyError(
+            raise UnknownNameError(
                 f"no parameter {name!r}; there are {', '.join((*self.identifiable, *self.moving))}"
             )
         p = self.identifiable[name]

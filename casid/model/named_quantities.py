@@ -135,6 +135,11 @@ class NamedQuantities:
 
         `value` is in `unit`.
         """
+        if isinstance(value, str) and isinstance(unit, int | float):
+            raise ModelError(
+                f"{self.name}: {name!r}: value {value!r} and unit {unit!r} seem to be swapped; "
+                f"write constant({name!r}, {unit!r}, {value!r})"
+            )
         return self.add_parameter(Parameter(name, unit, value, value=value, is_constant=True))
 
     def symbol(self, name: str) -> Any:

@@ -26,6 +26,7 @@ RESULT_FILE = "result.casid"
 """The saved result in the folder that a command writes, beside its page and JSON."""
 
 _CONTENT = "result.json"
+_GIVE = "give the path that save() returned, or the folder that a command wrote to (--out)"
 _TIME = (1980, 1, 1, 0, 0, 0)  # of every member: the same result makes the same file
 
 
@@ -39,7 +40,7 @@ def save(result: Any, path: str | Path) -> Path:
     ------
     DataError
         If the result holds what no file can keep (a function of the user's own), or the path
-        cannot be written.
+        cannot be written, or is a folder with the result of a command.
     """
     path = Path(path)
     encoder = Encoder()
@@ -60,6 +61,7 @@ def save(result: Any, path: str | Path) -> Path:
         if path.suffix:
             write_bytes(path, _zipped(members))
         else:
+            _refuse_taken(path)
             path.mkdir(parents=True, exist_ok=True)
             for old in path.glob("arrays_*.parquet"):
                 if old.name not in members:
@@ -174,6 +176,15 @@ def _columns(tables: Mapping[str, bytes]) -> dict[str, Array]:
     return found
 
 
+def _refuse_taken(folder: Path) -> None:
+    """Refuse a folder with the result of a command, which `load` would read instead."""
+    if (folder / RESULT_FILE).is_file():
+        raise DataError(
+            f"{folder} holds the result of a command, {RESULT_FILE}, which load() would read; name "
+            f"another folder, or a file such as {folder / 'mine.casid'}"
+        )
+
+
 def _members(path: Path) -> dict[str, bytes]:
     """The files inside."""
     if path.is_dir() and (path / RESULT_FILE).is_file():
@@ -181,10 +192,10 @@ def _members(path: Path) -> dict[str, bytes]:
     if path.is_dir():
         found = [path / _CONTENT, *sorted(path.glob("arrays_*.parquet"))]
         if not found[0].exists():
-            raise DataError(f"{path}: the folder holds no {_CONTENT}; give one that save() wrote")
+            raise DataError(f"{path}: the folder holds no {_CONTENT}; {_GIVE}")
         return {p.name: p.read_bytes() for p in found}
     if not path.is_file():
-        raise DataError(f"{path} does not exist; give the path that save() returned")
+        raise DataError(f"{path} does not exist; {_GIVE}")
     try:
         with zipfile.ZipFile(path) as file:
             return {name: file.read(name) for name in file.namelist()}

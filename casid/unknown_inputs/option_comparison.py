@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casid.errors import UnknownNameError
 from casid.estimation.estimate import Estimate
 from casid.presentation import Presented
 
@@ -51,7 +52,9 @@ class UnknownInputComparison(Presented):
         for row in self.rows:
             if row.option == option:
                 return row
-        raise KeyError(f"no option {option!r}; there are {', '.join(r.option for r in self.rows)}")
+        raise UnknownNameError(
+            f"no option {option!r}; there are {', '.join(r.option for r in self.rows)}"
+        )
 
     def cells(self) -> tuple[list[str], list[list[str]]]:
         """Heads and rows of the table, as text."""

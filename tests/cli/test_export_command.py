@@ -87,6 +87,7 @@ def test_a_state_space_has_its_operating_point(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["--as", "fmi", "--out", "x"], "no export as 'fmi'.*did you mean 'fmu'"),
+        (["--as", "simulink", "--out", "x"], "no export as 'simulink'; it is one of [^;]*$"),
         (["--as", "c", "--out", "x.py"], r"C is written to a file that ends with .c"),
         (["--as", "c", "--out", "no/where/x"], "there is no folder"),
         (["--as", "c", "--out", "x", "--at", "p=1"], "export it as control"),

@@ -147,6 +147,10 @@ def test_control_characters_in_names_are_shown_and_not_obeyed(folder: Path) -> N
         ("import casid\ncasid.Model('a').state('x', 1)", "a: 'x': unit 1 is no text"),
         ("import casid\ncasid.Model('a').input(None, 'm')", "name None is no text"),
         ("import casid\ncasid.Model('a').output(7, 1, 'm')", "output 7: name 7 is no text"),
+        (
+            "import casid\ncasid.Model('a').constant('g', 'm/s^2', 9.81)",
+            "'m/s^2' and unit 9.81 seem to be swapped; write constant('g', 9.81, 'm/s^2')",
+        ),
         (PROBLEM.replace('"oscillator", m', "9, m"), "problem 9: name 9 is no text"),
         (PROBLEM.replace('"F [N]"', "4"), "channels 4 is no text"),
         (

@@ -304,6 +304,7 @@ def test_files_that_are_none_are_refused(here: Path) -> None:
     Path("empty.csv").touch()
     Path("folder").mkdir()
     Path("binary.csv").write_bytes(b"\x00\x01\x02" * 100)
+    refused(casid("identify", "mass.py"), "name a record behind the problem: mass.py data.csv")
     refused(casid("identify", "mass.py", "rum.csv"), "did you mean 'run.csv'?".capitalize()[1:])
     refused(casid("identify", "mass.py", "empty.csv"), "the file is empty", "Export")
     refused(casid("identify", "mass.py", "folder"), "is a folder", "CSV")

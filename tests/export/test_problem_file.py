@@ -234,3 +234,14 @@ def test_a_function_of_the_users_own_is_refused(tmp_path: Path) -> None:
     fitted = fitted_model(casid.Problem("driven", m), [], {"a": 1.0}, x0=(0.0,), Ts=0.1, N=50)
     with pytest.raises(casid.ModelError, match=r"'wind' is a Python function.*casid.StepAt"):
         fitted.to_problem_file(tmp_path / "problem.py")
+
+
+def test_a_problem_file_that_may_be_written_by_hand_is_not_written_over_unasked(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "pendulum.py"
+    path.write_text("# by hand\n")
+    with pytest.raises(casid.DataError, match=r"pendulum.py exists; .*force=True"):
+        extended_pendulum().to_problem_file(path)
+    assert path.read_text() == "# by hand\n"
+    assert casid.load_problem(extended_pendulum().to_problem_file(path, force=True)).name

@@ -182,3 +182,13 @@ def test_classes_find_again_what_was_saved_and_need_no_more(path):
         needed = {f.name for f in now if f.default is MISSING and f.default_factory is MISSING}
         assert needed <= set(saved), f"{place}: give {needed - set(saved)} a default value"
         assert set(saved) <= {f.name for f in now}, f"{place}: a saved field is gone"
+
+
+def test_a_result_is_not_saved_beside_that_of_a_command_which_would_be_read_instead(tmp_path):
+    folder = tmp_path / "reports"
+    samples.estimate().save(folder / "result.casid")
+    with pytest.raises(casid.DataError, match="holds the result of a command.*name another folder"):
+        samples.deficient().save(folder)
+    other = tmp_path / "other"
+    samples.estimate().save(other)
+    assert casid.load(samples.deficient().save(other)).problem == samples.deficient().problem

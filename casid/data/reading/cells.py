@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,7 @@ from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.layout import NO_VALUE
 from casid.data.reading.number_marks import Evidence, decimal_mark, plain_number
 from casid.data.reading.tables import Table
-from casid.errors import DataError
+from casid.errors import DataError, shell_option
 from casid.model.quantities import are, count_text
 from casid.model.units import to_si
 
@@ -85,7 +84,7 @@ def numbers_of(
             "text",
             f"{table.path.name}: column {spec.column!r} (channel {channel}) holds {detail}.",
             "Correct the cells or leave them empty; text that stands for no value is named, "
-            f"--missing {shlex.quote(cells[first][:60])} --mark-missing.",
+            f"{shell_option('--missing', cells[first][:60])} --mark-missing.",
             spec.column,
             detail,
         )
@@ -163,11 +162,11 @@ def non_finite(
     first, nans = int(np.argmax(bad)), int(np.isnan(numbers).sum())
     column = f"{table.path.name}: column {spec.column!r} (channel {channel})"
     if nans == numbers.size:
-        option = shlex.quote(f"{channel}=COLUMN")
+        example = shell_option("--map", f"{channel}=COLUMN")
         return Fault(
             "empty",
             f"{column} is empty: none of its {numbers.size} cells holds a value.",
-            f"Name the column that was recorded, as in --map {option}, give a window that holds "
+            f"Name the column that was recorded, as in {example}, give a window that holds "
             f"values, or leave {channel} out of the model or the columns to read.",
             spec.column,
         )

@@ -17,7 +17,7 @@ from casid.data.reading.header_units import (
 )
 from casid.data.reading.layout import is_date
 from casid.data.reading.tables import Table
-from casid.errors import DataError, UnitError
+from casid.errors import DataError, UnitError, shell_option
 from casid.model.units import parse_unit, same_dimension, to_si
 
 _TIME_NAMES = frozenset(
@@ -182,14 +182,15 @@ def _read_unit(table: Table, name: str, spec: ColumnSpec) -> tuple[str, str]:
     if found is not None and found.unit is None and found.why:
         example, signal = likely_reading(found.text), "SIGNAL" if name == spec.column else name
         likely = example is not None and (target is None or same_dimension(example, target))
+        shown = example if likely else "UNIT"
         raise UnitError(
             f"unit {found.text!r} is ambiguous: {found.text!r} may mean {found.why}. Write which, "
-            f"as in --map '{signal}={spec.column}:{example if likely else 'UNIT'}'."
+            f"as in {shell_option('--map', f'{signal}={spec.column}:{shown}')}."
         )
     if found is not None and found.unit is None and target is not None:
         raise UnitError(
             f"the file's unit {found.text!r} is not in the list of units. Give the unit, as in "
-            f"--map '{name}={spec.column}:{target}'."
+            f"{shell_option('--map', f'{name}={spec.column}:{target}')}."
         )
     if target is not None:
         return target, "the model's: the file names none"

@@ -46,7 +46,7 @@ from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_
 from casid.data.reading.sources import sha256, source_of
 from casid.data.reading.tables import Table
 from casid.data.record import Record
-from casid.errors import DataError, UnitError
+from casid.errors import DataError, UnitError, shell_option
 from casid.model.quantities import count_text, window_text
 from casid.model.units import parse_unit, si_unit, to_si
 
@@ -197,9 +197,10 @@ def _compare_units(opened: _Opened, found: Survey) -> None:
         one, other = parse_unit(spec.unit), parse_unit(stated.unit)
         if one.dimension == other.dimension and one.offset == other.offset:
             text += f": its numbers count {one.factor / other.factor:.6g} times as much"
+        example = shell_option("--map", f"{channel}={spec.column}")
         remedy = (
-            f"Leave the unit out, as in --map '{channel}={spec.column}', to read it in "
-            f"{stated.text}; keep it where the file is wrong."
+            f"Leave the unit out, as in {example}, to read it in {stated.text}; keep it where the "
+            "file is wrong."
         )
         if stated.is_sure:
             found.doubts.append(Fault("unit", f"{text}.", remedy, channel))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import difflib
 import re
-import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casid.data.reading.file_format import FileFormat
-from casid.errors import DataError
+from casid.errors import DataError, shell_option
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -100,21 +99,22 @@ class Table(ABC):
         if column in self.columns:
             return
         if column in self.twice:
+            example = shell_option("--map", f"{what}={self.twice[column][0]}")
             raise DataError(
                 f"{self.path.name}: more than one column is named {column!r}. Give each column "
-                f"its own name in the header, or map one by its number, as in --map "
-                f"{what}={self.twice[column][0]} (there are {', '.join(self.twice[column])})."
+                f"its own name in the header, or map one by its number, as in {example} "
+                f"(there are {', '.join(self.twice[column])})."
             )
         folded = {c.casefold(): c for c in self.columns if c not in taken}
         name = column.casefold()
         near = [c for c in folded if re.fullmatch(rf"{re.escape(name)}\s*[\[(/].*", c)]
         near = near or difflib.get_close_matches(name, list(folded), n=1, cutoff=0.6)
-        option = shlex.quote(f"{what}={folded[near[0]]}") if near else f"{what}=COLUMN"
+        example = shell_option("--map", f"{what}={folded[near[0]] if near else 'COLUMN'}")
         raise DataError(
             f"{self.path.name}: no column {column!r} for {what}. "
             + (f"Did you mean {folded[near[0]]!r}? " if near else "")
             + f"The file holds {', '.join(self.columns)}. "
-            f"Map the channel to one of them, as in --map {option}."
+            f"Map the channel to one of them, as in {example}."
         )
 
 

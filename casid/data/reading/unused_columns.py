@@ -83,8 +83,8 @@ def unused_columns(
     for column in ignore:
         if column not in table.columns:
             raise DataError(
-                f"{table.path.name}: no column {column!r} to ignore"
-                f"{nearest(column, table.columns)}. Name a column of the file, as written there."
+                f"{table.path.name}: no column {column!r} to ignore; name one as the file writes it"
+                f"{nearest(column, table.columns)}"
             )
     there = [c for c in table.columns if c in {spec.column for spec in used.values()}]
     beside = {clock, table.date_column, *table.clocks}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from shlex import quote
 
 from casid.data.problem import Problem
 from casid.diagnosis.advice.isolability import Isolability, isolability
@@ -23,6 +22,7 @@ from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Verdict
 from casid.diagnosis.verdict.gain import changes, decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
 from casid.diagnosis.verdict.sentences import declares, separates
+from casid.errors import shell_option
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import POOR
 from casid.model.effects.effect import OF_SAMPLES
@@ -311,7 +311,7 @@ def disturbance_advice(model: Model, d: Disturbance) -> str:
     )
     if d.also or d.where not in model.balances:
         return text
-    how = f"casid identify --disturbance {quote(f'{d.where}:{d.spectral_form}')}"
+    how = f"casid identify {shell_option('--disturbance', f'{d.where}:{d.spectral_form}')}"
     return f"{text} What is truly random is estimated with them by {how}."
 
 

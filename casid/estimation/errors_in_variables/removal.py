@@ -84,7 +84,7 @@ class Corrected:
     def text(self) -> str:
         """How noise on measured inputs was treated, in words; empty where there is none."""
         if self.bias is None or self.input_sd is None:
-            return f"it is not removed, since {self.why_not}" if self.why_not else ""
+            return f"noise on inputs is not removed, since {self.why_not}" if self.why_not else ""
         name, worst = max(self.bias.items(), key=lambda item: abs(item[1]))
         model = self.fit.criterion.model
         sizes = ", ".join(
@@ -93,7 +93,7 @@ class Corrected:
             if sd > 0
         )
         if self.is_removed and not sizes:
-            return f"it moves no unknown by more than {REMOVAL.negligible:g} standard errors"
+            return _HARMLESS
         if self.reference:
             return f"white noise on {sizes} at most is no bias to instruments"
         if self.is_removed and abs(worst) < REMOVAL.negligible:
@@ -118,7 +118,7 @@ class Corrected:
                 f"white noise on {sizes} at most may bias {name} by up to {abs(worst):.2g} times "
                 f"its standard error; it is not removed, since {self.why_not}"
             )
-        return f"it moves no unknown by more than {REMOVAL.negligible:g} standard errors"
+        return _HARMLESS
 
 
 def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) -> Corrected:
@@ -217,6 +217,7 @@ def _resolved(root: _Root, fit: Fit) -> _Root:
     return _Root(there, root.known, root.free, root.found, root.seed, is_cautious=True)
 
 
+_HARMLESS = f"noise on inputs moves no unknown by more than {REMOVAL.negligible:g} standard errors"
 _NO_ROOT = "the equations without it have no root near the fit"
 _ALL_HELD = "the equations without it lead every unknown to a bound"
 

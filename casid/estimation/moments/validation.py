@@ -20,7 +20,7 @@ import numpy as np
 from casid.argument_types import names_wrong_types
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
-from casid.errors import DataError, SolveError
+from casid.errors import DataError, SolveError, UnknownNameError
 from casid.estimation.moments.instruments.instruments import (
     Instruments,
     Loop,
@@ -70,7 +70,9 @@ class Validation(Presented):
         for c in self.channels:
             if (c.record, c.channel) == key:
                 return c
-        raise KeyError(f"no {key}; there are {[(c.record, c.channel) for c in self.channels]}")
+        raise UnknownNameError(
+            f"no {key}; there are {[(c.record, c.channel) for c in self.channels]}"
+        )
 
     def plot(self, *, seconds: float = 20.0) -> Any:
         """Measured and simulated channels over the first `seconds` of every record (Fig. 7.14)."""

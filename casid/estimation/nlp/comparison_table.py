@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from casid.arrays import Array, finite_or_none
+from casid.errors import UnknownNameError
 from casid.presentation import Presented, present
 
 
@@ -59,7 +60,7 @@ class SolverComparison(Presented):
             if row.solver == solver:
                 return row
         known = ", ".join(row.solver for row in self.rows)
-        raise KeyError(f"{solver!r} did not take part; those that did: {known}")
+        raise UnknownNameError(f"{solver!r} did not take part; those that did: {known}")
 
     @property
     def agreeing(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import TINY, Array
 from casid.deprecation import renamed
-from casid.errors import SolveError
+from casid.errors import SolveError, UnknownNameError
 from casid.model.quantities import count_text
 from casid.presentation import Presented
 
@@ -119,7 +119,9 @@ class Solution(Presented):
                 return -near.ratio()
 
             ordered = ", ".join(sorted(self.names, key=unlike))
-            raise KeyError(f"{name!r} is no variable; give one of these, nearest first: {ordered}")
+            raise UnknownNameError(
+                f"{name!r} is no variable; give one of these, nearest first: {ordered}"
+            )
         return float(self.x[self.names.index(name)])
 
     def __repr__(self) -> str:

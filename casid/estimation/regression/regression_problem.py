@@ -91,8 +91,8 @@ class RegressionProblem:
             used = {s.name() for side in sides for s in ca.symvar(side)}
         for name in sorted(used - set(given)):
             raise ModelError(
-                f"{self.name}: {name!r} is no column, parameter or known value"
-                f"{nearest(name, given)} Add it to start to estimate it."
+                f"{self.name}: {name!r} is no column, parameter or known value; to "
+                f"estimate it, add it to start{nearest(name, given)}"
             )
         return used
 
@@ -152,8 +152,8 @@ class RegressionProblem:
         for name in self.parameters:
             if name not in used:
                 raise ModelError(
-                    f"{self.name}: parameter {name!r} does not appear"
-                    f"{nearest(name, used)} Or take it out of start."
+                    f"{self.name}: parameter {name!r} does not appear; take it out "
+                    f"of start{nearest(name, used)}"
                 )
 
     def _table(self, data: Mapping[str, Any]) -> Array:

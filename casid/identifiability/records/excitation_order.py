@@ -21,7 +21,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.files import plain_fields
 from casid.data.record import Record
-from casid.errors import DataError
+from casid.errors import DataError, UnknownNameError
 from casid.estimation.covariance import autocorrelation
 
 SOURCES = ("L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, section 13.2",)
@@ -90,7 +90,9 @@ class Excitation:
         for c in self.channels:
             if c.name == channel:
                 return c
-        raise KeyError(f"no channel {channel!r}; there are {', '.join(c.name for c in self)}")
+        raise UnknownNameError(
+            f"no channel {channel!r}; there are {', '.join(c.name for c in self)}"
+        )
 
     def __iter__(self) -> Iterator[Order]:
         return iter(self.channels)

@@ -235,7 +235,7 @@ def _refuse_unknown_names(
         if name not in there and name not in known:
             raise ModelError(
                 f"{criterion.model.name} has no {name!r} to give a value; it has "
-                f"{', '.join(dict.fromkeys(there))}{nearest(name, there)}"
+                f"{', '.join(dict.fromkeys(there))}{nearest(name, there, is_listed=True)}"
             )
 
 
@@ -297,7 +297,7 @@ def _refuse_noise(criterion: SimulationError, given: Mapping[str, float]) -> Non
         if name not in criterion.outputs:
             raise DataError(
                 f"noise of {name!r}: {criterion.model.name} has no such output; it has "
-                f"{', '.join(criterion.outputs)}{nearest(name, criterion.outputs)}"
+                f"{', '.join(criterion.outputs)}{nearest(name, criterion.outputs, is_listed=True)}"
             )
         if not (math.isfinite(value) and value > 0):
             raise DataError(

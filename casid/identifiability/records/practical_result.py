@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal
 from casid.arrays import Array, finite_or_none
 from casid.data.files import plain_fields
 from casid.deprecation import renamed
+from casid.errors import UnknownNameError
 from casid.grouping import Grouped
 from casid.identifiability.records.planned_experiment import Noise
 from casid.presentation import Presented
@@ -213,7 +214,7 @@ class Practical(Presented):
         for row in self.rows:
             if row.name == name:
                 return row
-        raise KeyError(f"no {name!r}; there are {', '.join(r.name for r in self.rows)}")
+        raise UnknownNameError(f"no {name!r}; there are {', '.join(r.name for r in self.rows)}")
 
     @property
     def parameters(self) -> tuple[Row, ...]:

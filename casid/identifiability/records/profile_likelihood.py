@@ -126,10 +126,11 @@ def _requested(planned: Planned, parameters: Sequence[str] | None) -> list[str]:
     shared = [n for n, s in zip(planned.criterion.names, planned.is_state, strict=True) if not s]
     wanted = list(parameters) if parameters is not None else shared
     for name in wanted:
-        if name not in planned.criterion.names:
+        known = planned.criterion.names
+        if name not in known:
             raise ModelError(
                 f"profile of {name!r}: {planned.problem.name} has no such unknown; unknown are "
-                f"{', '.join(planned.criterion.names)}{nearest(name, planned.criterion.names)}"
+                f"{', '.join(known)}{nearest(name, known, is_listed=True)}"
             )
     return wanted
 

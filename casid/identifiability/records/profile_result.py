@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from casid.arrays import Array
 from casid.data.files import plain_fields
+from casid.errors import UnknownNameError
 from casid.presentation import Viewed, present
 
 Kind = Literal["identifiable", "practically non-identifiable", "flat"]
@@ -91,7 +92,9 @@ class Profiles(Viewed):
         for p in self.profiles:
             if p.name == name:
                 return p
-        raise KeyError(f"no profile of {name!r}; there are {', '.join(p.name for p in self)}")
+        raise UnknownNameError(
+            f"no profile of {name!r}; there are {', '.join(p.name for p in self)}"
+        )
 
     def __iter__(self) -> Iterator[ProfileLikelihood]:
         return iter(self.profiles)

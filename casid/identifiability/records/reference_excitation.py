@@ -170,7 +170,7 @@ def record_excitation(
         if name not in there:
             raise DataError(
                 f"noise of {name!r}: {problem.name} has no such channel; it has "
-                f"{', '.join(there)}{nearest(name, there)}"
+                f"{', '.join(there)}{nearest(name, there, is_listed=True)}"
             )
     split = _Split(p) if p.criterion.model.eliminated_units else None
     note = ""

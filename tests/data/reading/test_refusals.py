@@ -58,7 +58,7 @@ def test_a_path_that_is_no_file_is_refused_with_the_nearest(csv, tmp_path):
 def test_columns_of_one_name_are_told_apart_by_their_numbers(csv):
     path = csv("t,y,y\n0,1,2\n1,2,3\n")
     assert read_record(path)["y#3"].tolist() == [2.0, 3.0]
-    with pytest.raises(DataError, match="more than one column is named 'y'.*--map v=y#2"):
+    with pytest.raises(DataError, match="more than one column is named 'y'.*--map 'v=y#2'"):
         read_record(path, {"v": "y"})
 
 

@@ -191,7 +191,7 @@ def test_an_input_without_noise_leaves_least_squares_as_it_is() -> None:
     assert found.fit is fit
     assert not found.is_removed
     assert not found.why_not
-    assert found.text == "it moves no unknown by more than 0.1 standard errors"
+    assert found.text == "noise on inputs moves no unknown by more than 0.1 standard errors"
 
 
 def test_the_noise_is_bounded_by_the_floor_of_the_channel() -> None:
@@ -368,7 +368,7 @@ def test_a_variance_that_a_solver_leaves_of_zero_adds_nothing_to_the_errors(sd) 
 def test_a_root_whose_inputs_have_no_noise_names_none() -> None:
     bias = {"a": 0.02}
     at = Corrected(fitted(4), covariance=np.eye(3), input_sd={"u": 0.0}, bias=bias)
-    assert at.text == "it moves no unknown by more than 0.1 standard errors"
+    assert at.text == "noise on inputs moves no unknown by more than 0.1 standard errors"
 
 
 def test_a_covariance_is_that_of_least_squares_where_nothing_is_noisy() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from casid.arrays import FloatArray
 from casid.data.reading.clocks.even_clock import UNIFORM
 from casid.data.reading.clocks.time_stamps import DAY, Stamps
+from casid.errors import shell_option
 from casid.model.quantities import count_text
 
 if TYPE_CHECKING:
@@ -56,9 +57,9 @@ def of_clock_numbers(
             continue
         said = f"{_IN_WORDS[form]} as numbers, {values[0]:g} read as {_shown(float(seconds[0]))}"
         if unit is None:
-            others = f"seconds, --map {_option(column, 's')}"
+            others = f"seconds, {_option(column, 's')}"
             if form == "hh:mm":
-                others += f", or minutes and seconds, --map {_option(column, 'mm:ss')}"
+                others += f", or minutes and seconds, {_option(column, 'mm:ss')}"
             said += f" (where {column!r} counts {others})"
         return _over_days(seconds, said, days)
     return None
@@ -68,7 +69,7 @@ _IN_WORDS = {"hh:mm": "hours and minutes", "hh:mm:ss": "hours, minutes and secon
 
 
 def _option(column: str, unit: str) -> str:
-    return f"'t={column}:{unit}'"
+    return shell_option("--map", f"t={column}:{unit}")
 
 
 def _shown(seconds: float) -> str:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
-
 import numpy as np
 
 from casid.arrays import FloatArray
 from casid.data.reading.faults import Fault
+from casid.errors import shell_option
 
 NO_UNIT = "no unit of time"
 """What a remark on such a clock begins with."""
@@ -32,12 +31,12 @@ def assumed_seconds(column: str, times: FloatArray) -> str | Fault:
             "unit of time",
             f"{read}, though its whole numbers step unevenly, by {low:g} to {high:g}, as counts of "
             "milliseconds do.",
-            f"Give the unit with --map {_option(column, 'ms')}, or --map {_option(column, 's')} "
+            f"Give the unit with {_option(column, 'ms')}, or {_option(column, 's')} "
             "where it counts seconds.",
             column,
         )
     units = ("ms", "h") if np.array_equal(times, np.floor(times)) else ("h", "ms")
-    first, other = ((f"--map {_option(column, u)}", _IN_WORDS[u]) for u in units)
+    first, other = ((_option(column, u), _IN_WORDS[u]) for u in units)
     return (
         f"{read}, {times[-1] - times[0]:.4g} s in all ({first[0]} where it counts {first[1]}, "
         f"{other[0]} {other[1]})"
@@ -53,7 +52,7 @@ _IN_WORDS = {"ms": "milliseconds", "h": "hours"}
 
 
 def _option(column: str, unit: str) -> str:
-    return shlex.quote(f"t={column}:{unit}")
+    return shell_option("--map", f"t={column}:{unit}")
 
 
 def _are_counts(times: FloatArray) -> bool:

@@ -46,7 +46,7 @@ def chosen_table(
     name = form.table
     if name is not None and name not in groups:
         raise DataError(
-            f"{path.name}: no {word} {name!r}{nearest(name, groups)}. Name one with --table."
+            f"{path.name}: no {word} {name!r} to name with --table{nearest(name, groups)}"
         )
     if name is None:
         if len(groups) > 1:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from casid.arrays import TINY, Array
 from casid.data.record import Record
-from casid.errors import DataError, ModelError, SolveError
+from casid.errors import DataError, ModelError, SolveError, UnknownNameError
 from casid.estimation.prediction_error.polynomial.misfit import Misfit
 from casid.estimation.prediction_error.polynomial.orders import is_stable
 from casid.estimation.prediction_error.polynomial.records import one_record
@@ -106,7 +106,7 @@ class PolynomialModel(Presented):
     def __getitem__(self, name: str) -> float:
         """A free coefficient by name, as ``model["b1[u]"]``."""
         if name not in self.names:
-            raise KeyError(f"no coefficient {name!r}; there are {', '.join(self.names)}")
+            raise UnknownNameError(f"no coefficient {name!r}; there are {', '.join(self.names)}")
         return float(self.theta[self.names.index(name)])
 
     @property
