@@ -29,7 +29,7 @@ from casid.data.record import Record
 from casid.errors import DataError, ModelError, nearest, require_texts
 from casid.model.model import Model
 from casid.model.units import difference_to_si
-from casid.presentation import Viewed
+from casid.presentation import Presented
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @methods_name_wrong_types(ModelError)
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem(Viewed):
+class Problem(Presented):
     """What a file in `problems/` defines and every command takes.
 
     Parameters

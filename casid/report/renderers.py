@@ -97,7 +97,10 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     "Practical": {"document": "texts.identifiability.practical_document"},
     "Prediction": {"document": "texts.estimates.prediction_document"},
     "PredictorTable": {"document": "texts.networks.predictors_document"},
-    "Problem": {"view": "pages.model_page.problem_view"},
+    "Problem": {
+        "document": "pages.model_page.problem_document",
+        "view": "pages.model_page.problem_view",
+    },
     "Profile": {"figure": "figures.profiles.moment_profile_figure"},
     "Profiles": {"figure": "figures.profiles.profiles_figure"},
     "Reconciled": {"document": "texts.estimates.reconciled_document"},

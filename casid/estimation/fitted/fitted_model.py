@@ -302,7 +302,8 @@ class FittedModel(Saved, Exportable, Viewed):
             label = label if number == 1 else f"{label}#{number}"
             expected[label] = model.predict(experiment, horizon)
         units = {name: unit for name, (_, unit) in self.model.outputs.items()}
-        return compared(given.record, expected, units, horizon)
+        declared = [self.model.unit_of(name) for name in units]
+        return compared(given.record, expected, units, horizon, declared)
 
     def equations(self) -> ModelEquations:
         """The equations: `print` shows text, `latex()` gives LaTeX, new terms marked in both."""

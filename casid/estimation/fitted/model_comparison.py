@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,7 @@ class ModelComparison(Presented):
     expected : model -> (N, ny) simulated or predicted outputs.
     fit : model -> output -> 100 (1 - |y - yhat| / |y - mean y|) per cent.
     rmse : model -> output -> RMS error, SI.
+    declared : the units that text and figures show; `units` by default.
     """
 
     record: str
@@ -42,6 +43,7 @@ class ModelComparison(Presented):
     expected: Mapping[str, Array]
     fit: Mapping[str, Mapping[str, float]]
     rmse: Mapping[str, Mapping[str, float]]
+    declared: tuple[str, ...] = ()
 
     @property
     def how(self) -> str:
@@ -75,7 +77,11 @@ class ModelComparison(Presented):
 
 
 def compared(
-    record: Record, expected: Mapping[str, Record], units: Mapping[str, str], horizon: int | None
+    record: Record,
+    expected: Mapping[str, Record],
+    units: Mapping[str, str],
+    horizon: int | None,
+    declared: Sequence[str] = (),
 ) -> ModelComparison:
     """The comparison of what models expect with what was measured.
 
@@ -83,6 +89,7 @@ def compared(
     ----------
     expected : model -> its outputs over the record.
     units : output -> SI unit.
+    declared : units of the outputs that are shown.
     """
     outputs = tuple(units)
     measured = np.column_stack([np.where(record.is_missing(n), np.nan, record[n]) for n in outputs])
@@ -103,4 +110,5 @@ def compared(
         expected=arrays,
         fit={m: by_output(nrmse_fit(measured, measured - y)) for m, y in arrays.items()},
         rmse={m: by_output(rms(measured - y)) for m, y in arrays.items()},
+        declared=tuple(declared),
     )

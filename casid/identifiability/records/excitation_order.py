@@ -23,6 +23,7 @@ from casid.data.files import plain_fields
 from casid.data.record import Record
 from casid.errors import DataError, UnknownNameError
 from casid.estimation.covariance import autocorrelation
+from casid.model.units import difference_from_si, parse_unit
 
 SOURCES = ("L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, section 13.2",)
 ROUNDING = 1e-9
@@ -39,6 +40,7 @@ class Order:
     limit : most lags that were examined.
     rms : root mean square of the signal, its unit.
     noise : standard deviation of the white noise allowed for, 0 for none.
+    declared : the unit that text shows both in; `unit` by default, and where that has no zero.
     """
 
     name: str
@@ -47,9 +49,20 @@ class Order:
     limit: int
     rms: float
     noise: float = 0.0
+    declared: str = ""
 
     def __str__(self) -> str:
         return order_text(self.order, self.limit)
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit of `shown`."""
+        has_zero = self.declared and not parse_unit(self.declared).offset
+        return self.declared if has_zero else self.unit
+
+    def shown(self, size: float) -> float:
+        """An rms or a noise as text shows it."""
+        return float(difference_from_si(size, self.shown_unit))
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -70,8 +83,8 @@ class Excitation:
 
     Attributes
     ----------
-    joint : largest n for which n lags of every channel are independent of each other, out of
-        `joint_limit`; 0 where one channel is a multiple of others.
+    joint : largest n for which n lags of every channel in `together` are independent of each
+        other, out of `joint_limit`; 0 where one channel is a multiple of others.
     spacing : samples from one lag to the next.
     note : what limited the orders, if it was the record.
     """
@@ -84,6 +97,7 @@ class Excitation:
     spacing: int = 1
     note: str = ""
     sources: tuple[str, ...] = SOURCES
+    together: tuple[str, ...] = ()
 
     def __getitem__(self, channel: str) -> Order:
         """The order of one channel."""
@@ -104,19 +118,20 @@ class Excitation:
         apart = f", lags {self.spacing} apart" if self.spacing > 1 else ""
         lines = [f"Excitation orders in {self.record} ({self.samples} samples{apart})"]
         lines += [
-            f"  {c.name}  {c}  (rms {c.rms:.3g} {c.unit}"
-            + (f", noise {c.noise:.3g})" if c.noise else ")")
+            f"  {c.name}  {c}  (rms {c.shown(c.rms):.3g} {c.shown_unit}"
+            + (f", noise {c.shown(c.noise):.3g})" if c.noise else ")")
             for c in self.channels
         ]
-        if len(self.channels) > 1:
-            lines.append(f"  jointly  {order_text(self.joint, self.joint_limit)}")
+        if len(self.together) > 1:
+            of = "" if len(self.together) == len(self.channels) else f" {', '.join(self.together)}"
+            lines.append(f"  jointly{of}  {order_text(self.joint, self.joint_limit)}")
         if self.note:
             lines.append(f"  {self.note}")
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {"schema": "casid.excitation/1"} | plain_fields(self)
+        return {"schema": "casid.excitation/1"} | plain_fields(self, leave_out=("together",))
 
 
 def excitation_orders(
@@ -126,8 +141,9 @@ def excitation_orders(
     max_order: int = 20,
     noise: Mapping[str, float] | None = None,
     spacing: int = 1,
+    together: Sequence[str] | None = None,
 ) -> Excitation:
-    """Excitation order of each channel, and of all together.
+    """Excitation order of each channel, and of several together.
 
     Parameters
     ----------
@@ -137,6 +153,7 @@ def excitation_orders(
         unless M spacing Ts is of the order of its periods; see `decorrelation`.
     noise : channel -> standard deviation of its white noise [SI]. Without one every recorded
         signal with noise in it has every order: the noise excites too.
+    together : channels whose lags are to be independent of each other; default all.
 
     Raises
     ------
@@ -150,12 +167,7 @@ def excitation_orders(
             f"{record.name}: excitation of {len(names)} channels up to order {max_order}, lags "
             f"{spacing} apart; name at least one channel, an order and a spacing of at least 1"
         )
-    for name, value in sd.items():
-        if not (math.isfinite(value) and value >= 0):
-            raise DataError(
-                f"{record.name}: noise of {name} = {value}; give a standard deviation, or leave it "
-                "out"
-            )
+    _require_noise(record, sd)
     signals = {name: signal(record, name) for name in names}
     orders, shortest = [], max_order
     for name, (values, used) in signals.items():
@@ -164,10 +176,11 @@ def excitation_orders(
         order = _order([values], [used], [sd.get(name, 0.0)], limit, spacing)
         rms = float(np.sqrt(np.mean(values[used] ** 2))) if used.any() else 0.0
         orders.append(Order(name, record.units[name], order, limit, rms, float(sd.get(name, 0.0))))
+    both = names if together is None else list(together)
     joint, joint_limit = _joint(
-        [v for v, _ in signals.values()],
-        [u for _, u in signals.values()],
-        [sd.get(n, 0.0) for n in names],
+        [signals[n][0] for n in both],
+        [signals[n][1] for n in both],
+        [sd.get(n, 0.0) for n in both],
         max_order,
         spacing,
     )
@@ -177,7 +190,26 @@ def excitation_orders(
             f"the record has samples for {shortest} lags only, not {max_order}; a longer one may "
             "show higher orders"
         )
-    return Excitation(record.name, record.N, tuple(orders), joint, joint_limit, spacing, note)
+    return Excitation(
+        record.name,
+        record.N,
+        tuple(orders),
+        joint,
+        joint_limit,
+        spacing,
+        note,
+        together=tuple(both),
+    )
+
+
+def _require_noise(record: Record, sd: Mapping[str, float]) -> None:
+    """Refuse noise that is no standard deviation."""
+    for name, value in sd.items():
+        if not (math.isfinite(value) and value >= 0):
+            raise DataError(
+                f"{record.name}: noise of {name} = {value}; give a standard deviation, or leave it "
+                "out"
+            )
 
 
 def order_text(order: int, limit: int) -> str:

@@ -28,6 +28,7 @@ from casid.estimation.estimate import Estimate
 from casid.identifiability.records.excitation_order import (
     ROUNDING,
     Excitation,
+    Order,
     decorrelation,
     excitation_orders,
     lag_matrix,
@@ -165,13 +166,7 @@ def record_excitation(
     problem = problem_of(problem)
     sd = problem.noise_in_si({**problem.noise, **(noise or {})})
     p = plan(problem, experiments, at=at)
-    there = [*p.criterion.model.inputs, *p.criterion.model.outputs, *problem.recorded]
-    for name in sd:
-        if name not in there:
-            raise DataError(
-                f"noise of {name!r}: {problem.name} has no such channel; it has "
-                f"{', '.join(there)}{nearest(name, there, is_listed=True)}"
-            )
+    _require_channels(p.criterion.model, problem, sd)
     split = _Split(p) if p.criterion.model.eliminated_units else None
     note = ""
     if split is not None and at is None and p.criterion.names:
@@ -189,13 +184,38 @@ def record_excitation(
         apart = spacing or min(
             decorrelation(signal(record, n)[0]) for n in (split.channels if split else chosen)
         )
-        signals = excitation_orders(record, chosen, max_order=max_order, noise=known, spacing=apart)
+        signals = excitation_orders(
+            record,
+            chosen,
+            max_order=max_order,
+            noise=known,
+            spacing=apart,
+            together=inputs or chosen,
+        )
+        signals = replace(signals, channels=tuple(_declared(c, problem) for c in signals))
         references: tuple[Reference, ...] = ()
         if split is not None:
             rng = np.random.default_rng((seed, e))
             references = split.references(e, signals, known, at, max_order, draws, rng)
         out.append(RecordExcitation(record.name, signals, references, tuple(recorded), note))
     return tuple(out)
+
+
+def _require_channels(model: Model, problem: Problem, sd: Mapping[str, float]) -> None:
+    """Refuse noise of what is no channel."""
+    there = [*model.inputs, *model.outputs, *problem.recorded]
+    for name in sd:
+        if name not in there:
+            raise DataError(
+                f"noise of {name!r}: {problem.name} has no such channel; it has "
+                f"{', '.join(there)}{nearest(name, there, is_listed=True)}"
+            )
+
+
+def _declared(order: Order, problem: Problem) -> Order:
+    """The order with the unit that the problem declares for its channel."""
+    unit = problem.recorded.get(order.name) or problem.model.unit_of(order.name)
+    return replace(order, declared=unit)
 
 
 class _Split:

@@ -7,6 +7,7 @@ from typing import Any
 from casid.data.record import Record
 from casid.estimation.fitted.model_comparison import ModelComparison
 from casid.estimation.moments.validation import Validation
+from casid.model.units import from_si
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import (
     AFTER,
@@ -64,14 +65,17 @@ def model_comparison_figure(found: ModelComparison) -> Any:
     """Every output against time, one panel each; the legend has the fit of each model."""
     rows = len(found.outputs)
     figure = Panels(rows=rows, row_height=220, gap=24, shared_x=True)
-    for k, (output, unit) in enumerate(zip(found.outputs, found.units, strict=True)):
-        i, y = thinned(found.measured[:, k]), found.measured[:, k]
+    units = found.declared or found.units
+    for k, (output, unit) in enumerate(zip(found.outputs, units, strict=True)):
+        y = from_si(found.measured[:, k], unit)
+        i = thinned(y)
         figure.points(k, found.t[i], y[i], "measured", {"color": MEASURED, "size": 3})
         for j, (model, expected) in enumerate(found.expected.items()):
             label = f"{figure_text(model)}: {found.fit[model][output]:.1f} %"
             if rows > 1:
                 label = f"{figure_text(output)}, {label}"
-            i, y = thinned(expected[:, k]), expected[:, k]
+            y = from_si(expected[:, k], unit)
+            i = thinned(y)
             figure.line(k, found.t[i], y[i], label, _OF_MODELS[j % len(_OF_MODELS)], width=1.4)
         figure.label(k, y=axis_text(output, unit))
     figure.label(rows - 1, x="time [s]")

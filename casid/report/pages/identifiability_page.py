@@ -8,6 +8,7 @@ from typing import Any
 from casid.identifiability.assessment import Answer, Assessment
 from casid.identifiability.records.practical_result import POOR, UNDETERMINED, Row
 from casid.model.quantities import percent_text, shortened
+from casid.model.units import difference_from_si, from_si
 from casid.report.document import (
     Banner,
     Bullets,
@@ -143,11 +144,12 @@ def _parameters(a: Assessment) -> Table:
     for name in a.parameters:
         partners = [n for n in group.get(name, ()) if n != name]
         row = expected.get(name)
+        unit = a.units.get(name, "") if row is None else row.declared or row.unit
         value = error = relative = "\u2013"
         if row is not None and a.parameters[name] == "identifiable":
-            value, error = value_text(row.value), f"{row.std_error:.2g}"
+            value = value_text(float(from_si(row.value, unit)))
+            error = f"{float(difference_from_si(row.std_error, unit)):.2g}"
             relative = "\u2013" if row.relative is None else percent_text(100 * row.relative)
-        unit = a.units.get(name, "") if row is None else row.unit
         verdict = verdict_words(a, name)
         cells = (Code(name), verdict, ", ".join(partners), value, error, relative, unit)
         rows.append(cells)
@@ -292,7 +294,10 @@ def _profiles(a: Assessment) -> Table | None:
 def _orders(a: Assessment) -> Iterator[Part]:
     head = ("channel", "unit", "order", "rms")
     for e in a.excitations:
-        rows = [(Code(c.name), c.unit, str(c), number_text(c.rms)) for c in e.signals.channels]
+        rows = [
+            (Code(c.name), c.shown_unit, str(c), number_text(c.shown(c.rms)))
+            for c in e.signals.channels
+        ]
         yield Table(head, rows, numbers=(3,), caption=f"Excitation orders in {e.record}")
         notes: list[Inline] = [str(r) for r in e.references]
         yield Bullets([*notes, *([e.note] if e.note else [])])

@@ -72,22 +72,32 @@ def _inputs(model: Model) -> Table:
     return Table(("input", "unit", "kind", "between samples"), rows)
 
 
-def problem_view(problem: Problem) -> Document:
-    """The model, where its signals are found, load cases and references."""
-    p, m = problem, problem.model
-    cases = [
-        (case, Code(name), value_text(value), m.unit_of(name))
+def problem_document(problem: Problem) -> Document:
+    """Channels, parameters and load cases, in their units, as a terminal shows them."""
+    tables = (_channels(problem), _parameters(problem.model), _load_cases(problem))
+    parts: list[Part] = [part for t in tables if t.rows for part in ("", t)]
+    return Document(f"{problem.name}: {repr(problem.model)[1:-1]}", parts)
+
+
+def _load_cases(p: Problem) -> Table:
+    rows = [
+        (case, Code(name), value_text(value), p.model.unit_of(name))
         for case, values in p.load_cases.items()
         for name, value in values.items()
     ]
-    head = ("load case", "parameter", "value", "unit")
+    return Table(("load case", "parameter", "value", "unit"), rows, numbers=(2,))
+
+
+def problem_view(problem: Problem) -> Document:
+    """The model, where its signals are found, load cases and references."""
+    p, m = problem, problem.model
     return Document(
         p.name,
         [
             p.description,
             *_model_sections(m),
             Section("Channels", [_channels(p)], is_open=True),
-            Section("Load cases", [Table(head, cases, numbers=(2,))]),
+            Section("Load cases", [_load_cases(p)]),
             Section("References", [Bullets(p.references)]),
         ],
         kind="Problem",

@@ -15,6 +15,7 @@ from casid.estimation.regression.regression_estimate import RegressionEstimate
 from casid.identification.grey_box import Prediction
 from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.model.quantities import count_text
+from casid.model.units import difference_from_si
 from casid.report.document import Document, Labelled, Table
 from casid.report.numbers import interval_lines, interval_text, is_half_open
 from casid.report.texts.moments import black_box_document, convergence_document
@@ -244,14 +245,15 @@ def monte_carlo_document(result: MonteCarlo) -> Document:
 
 def model_comparison_document(found: ModelComparison) -> Document:
     """Fit in per cent and RMS error of every output, a row a model."""
-    head = ["model"]
-    for output, unit in zip(found.outputs, found.units, strict=True):
+    head, shown = ["model"], found.declared or found.units
+    for output, unit in zip(found.outputs, shown, strict=True):
         head += [f"{output} [%]", f"rms [{unit}]"]
     rows = []
     for model in found.fit:
         cells = [model]
-        for output in found.outputs:
-            cells += [f"{found.fit[model][output]:.2f}", f"{found.rmse[model][output]:.4g}"]
+        for output, unit in zip(found.outputs, shown, strict=True):
+            error = float(difference_from_si(found.rmse[model][output], unit))
+            cells += [f"{found.fit[model][output]:.2f}", f"{error:.4g}"]
         rows.append(cells)
     table = Table(head, rows, numbers=range(1, len(head)))
     return Document(f"Fit to {found.record}, {found.how}", [table])

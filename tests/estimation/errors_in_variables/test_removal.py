@@ -11,7 +11,7 @@ import pytest
 
 import casid
 from casid.estimation.errors_in_variables.input_noise import input_noise
-from casid.estimation.errors_in_variables.removal import _Root
+from casid.estimation.errors_in_variables.removal import Corrected, _Root
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 from problems import pendulum
@@ -69,3 +69,11 @@ def test_where_bounds_hold_every_unknown_there_is_no_root():
     found = input_noise(fit.criterion, fit.x, {})
     root = _Root(fit, {}, np.array([False, False]), found, 0)
     assert root.why_not == "the equations without it lead every unknown to a bound"
+
+
+def test_why_noise_was_not_removed_is_a_whole_sentence():
+    fit = SimpleNamespace(criterion=SimpleNamespace(model=None))
+    said = Corrected(fit, why_not="it is fitted in segments").text
+    assert said == "noise on inputs is not removed, since it is fitted in segments"
+    still = Corrected(fit, np.eye(1), input_sd={"u": 0.0}, bias={"k": 0.0}).text
+    assert still == "noise on inputs moves no unknown by more than 0.1 standard errors"
