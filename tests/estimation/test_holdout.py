@@ -216,3 +216,9 @@ def test_a_reading_that_does_not_count_is_shown_and_a_gap_is_not():
     stuck = np.array([0.0, 3.0, 5.0, 5.0, 5.0, 4.0])
     plateau = shown(stuck, np.zeros(6, dtype=bool), np.isin(np.arange(6), [2, 3, 4]))
     assert np.isfinite(plateau).all()
+
+
+def test_a_share_that_leaves_nothing_to_fit_is_refused_with_what_python_takes():
+    run = casid.Record({"position": np.zeros(9)}, {"position": "m"}, TS)
+    with pytest.raises(casid.DataError, match="2 leaves too little .* or hold out whole records"):
+        split_records([casid.Experiment(run)], 2)

@@ -5,11 +5,15 @@ The truth is a difference equation of its own, with a load torque that nobody me
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import casid
 from casid.errors import ModelError
+from casid.estimation.errors_in_variables.removal import Corrected
+from casid.identification.approach import approach
 
 TRUTH = {"b": 0.03, "g": 1.0}
 
@@ -78,3 +82,13 @@ def test_least_squares_stay_where_nothing_biases_them():
 def test_an_external_signal_is_one_that_is_recorded():
     with pytest.raises(ModelError, match="external signal 'reff' is neither recorded"):
         problem(external="reff")
+
+
+def test_the_option_for_a_reference_is_quoted_as_a_shell_takes_it():
+    run = record(1).rename({"ref": "set point [rad/s]"})
+    beside = {"set point [rad/s]": "rad/s"}
+    criterion = SimpleNamespace(experiments=[casid.Experiment(run)], segments=1)
+    biased = Corrected(SimpleNamespace(criterion=criterion), why_not="it cannot be")
+    stated = casid.Problem("drive", model(), recorded=beside)
+    said = approach(stated, biased, 1, ())["instruments"]
+    assert "--reference 'set point [rad/s]', or external='set point [rad/s]'" in said
