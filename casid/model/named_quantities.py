@@ -63,7 +63,12 @@ class NamedQuantities:
         return self._declare(name)
 
     def input(self, name: str, unit: str, *, hold: Hold = "foh", known: bool = False) -> Any:
-        """Declare an input that is recorded: measured (with noise), or exactly known.
+        """Declare an input that is recorded: measured (with noise), or known without noise.
+
+        `known` says that the record has no noise and no sensor: it is a command, and what errs is
+        what it acts through. Its gain, its dead time, a lag or a limit of the actuator, and a zero
+        beside its own are tested by a diagnosis all the same; where its bias is just a constant
+        term of one balance or output, that is named.
 
         `hold` is what the signal does between samples: ``"zoh"`` for a held command, ``"foh"``
         (straight lines) for a sampled physical quantity, ``"bandlimited"`` for one that was

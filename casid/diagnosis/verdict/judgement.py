@@ -49,6 +49,7 @@ from casid.diagnosis.verdict.reported_causes import (
     with_the_sizes,
 )
 from casid.diagnosis.verdict.sentences import verdict_sentence
+from casid.diagnosis.verdict.taken_as_exact import taken_as_exact
 from casid.diagnosis.verdict.tested_remainder import Remainder, described, tested_remainder
 from casid.diagnosis.verdict.unknown_cause import (
     with_a_doubt,
@@ -62,7 +63,6 @@ from casid.estimation.holdout import validation
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.record_agreement import disagreements
 from casid.estimation.simulation_estimate import channel_notes, estimate_of
-from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -462,22 +462,7 @@ def notes_on(
         for channel in search.memory.references or ()
     ]
     if judged.verdict == "deficient":
-        notes += exact_constants(problem.model)
+        notes += taken_as_exact(problem.model)
     notes += not_accepted
     notes += [why for why in search.refitting.left_out.values() if why]
     return (*notes, *search.attempts.notes())
-
-
-def exact_constants(model: Model) -> tuple[str, ...]:
-    """A note that names the constants of a model, which no cause stands for; none without any.
-
-    Where one is wrong or changes, what it does is named as another effect that does much the same.
-    """
-    names = [name for name, p in model.parameters.items() if p.is_constant]
-    if not names:
-        return ()
-    return (
-        f"taken as exact, as `constant` declares, and never suspected: {', '.join(names)}. Where "
-        "one may be wrong or may change, as an efficiency may, declare it "
-        "`parameter(name, unit, value=)`: the causes named here may stand for it",
-    )

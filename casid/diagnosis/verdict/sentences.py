@@ -18,6 +18,7 @@ from casid.model.effects.channels.channel_effects import COURSES
 from casid.model.effects.effect import OF_SAMPLES, Effect
 from casid.model.effects.names import (
     BESIDE_ITS_ZERO,
+    BY_ANOTHER_GAIN,
     CLAMP,
     GAIN_OF_INPUT,
     GROWS,
@@ -203,6 +204,8 @@ def _says_constant(effect: Effect) -> str:
             f"the command {effect.where} {effect.description}, {acts} (an error of the actuator, "
             "or a constant part beside it that is not recorded)"
         )
+    if effect.description == BY_ANOTHER_GAIN:
+        return f"the command {effect.where} {effect.description}"
     return effect.description if effect.is_on_the_clock else ""
 
 

@@ -79,6 +79,9 @@ RECORDED_LATE = "is recorded later than it acts"
 BESIDE_ITS_ZERO = "acts beside its zero"
 """What a command does whose bias is no sensor's."""
 
+BY_ANOTHER_GAIN = "acts by another gain than in the model"
+"""What a command does whose gain error is no sensor's."""
+
 ADVANCE = "an advance"
 """What a delay that is turned round is."""
 

@@ -29,10 +29,10 @@ from casid.model.effects.names import (
     ACTS_LATE,
     BESIDE_ITS_ZERO,
     BETWEEN_SAMPLES,
+    BY_ANOTHER_GAIN,
     LATER_THAN_RECORDED,
     RECORDED_LATE,
 )
-from casid.model.effects.places.place import recorded_inputs
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Model
 from casid.model.units import is_comparable, same_dimension, unit_quotient
@@ -56,9 +56,13 @@ def sensor_bias(model: Model, channel: str) -> Effect:
 
         priority = 2
     p = Parameter(f"bias_{channel}", unit, 0.0)
-    is_command = channel in model.inputs and model.inputs[channel].kind == "known"
-    does = BESIDE_ITS_ZERO if is_command else ""
+    does = BESIDE_ITS_ZERO if is_command(model, channel) else ""
     return Effect("sensor_bias", channel, (p,), apply, priority=priority, description=does)
+
+
+def is_command(model: Model, channel: str) -> bool:
+    """True of an input that is declared known: it has no sensor, whose errors would be its own."""
+    return channel in model.inputs and model.inputs[channel].kind == "known"
 
 
 @names_wrong_types(ModelError)
@@ -71,7 +75,7 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
         moved ahead; or a known one, which acts late (`dead_time`).
     longest : upper bound of the delay [s].
     """
-    if channel in model.inputs and model.inputs[channel].kind == "known":
+    if is_command(model, channel):
         return dead_time(model, channel, longest)
     p = Parameter(f"delay_{channel}", "s", 0.0, lower=0.0, upper=longest)
     if channel in model.outputs:
@@ -125,8 +129,8 @@ def dead_time(model: Model, channel: str | Sequence[str], longest: float) -> Eff
         for name in channels:
             carry(new, Stage("late_input", name, names[0]))
 
-    is_command = all(model.inputs[name].kind == "known" for name in channels)
-    late = f"{ACTS_LATE}, by a dead time" if is_command else LATER_THAN_RECORDED
+    are_commands = all(is_command(model, name) for name in channels)
+    late = f"{ACTS_LATE}, by a dead time" if are_commands else LATER_THAN_RECORDED
     return Effect(
         "time_delay",
         ", ".join(channels),
@@ -135,7 +139,7 @@ def dead_time(model: Model, channel: str | Sequence[str], longest: float) -> Eff
         sided="positive",
         limit=longest,
         priority=1,
-        shape="" if is_command else ACTS_LATE,
+        shape="" if are_commands else ACTS_LATE,
         description=late,
     )
 
@@ -150,8 +154,8 @@ def dead_times_of(model: Model, sizes: Sizes) -> list[Effect]:
 def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
     """A sensor whose gain is 1 + s in place of 1; s = -2 is a wrong sign, and not searched here.
 
-    What a measured input did is its record over 1 + s. A parameter often absorbs it, and the effect
-    is then undetectable.
+    What a recorded input did is its record over 1 + s; a known one has an actuator in the place of
+    a sensor. A parameter often absorbs it, and the effect is then undetectable.
 
     Parameters
     ----------
@@ -179,7 +183,16 @@ def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
     p = Parameter(f"scale_{channel}", "1", 0.0, lower=lower, upper=upper)
     constants = {"about": about} if about else {}
     priority += bool(about)
-    return Effect("sensor_scale", channel, (p,), apply, priority=priority, constants=constants)
+    does = BY_ANOTHER_GAIN if is_command(model, channel) else ""
+    return Effect(
+        "sensor_scale",
+        channel,
+        (p,),
+        apply,
+        priority=priority,
+        description=does,
+        constants=constants,
+    )
 
 
 def scaled_input(model: Model, channel: str, gain: Any, *, beside: Any = 0.0) -> None:
@@ -383,7 +396,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         points = (level,) if same_dimension(unit, "K") else dict.fromkeys((level, 0.0))
         effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
-    effects += [sensor_scale(model, channel) for channel in _commands_of_several(model)]
+    effects += [sensor_scale(model, n) for n in model.inputs if is_command(model, n)]
     effects += [sensor_bias(model, channel) for channel in _commands_with_a_zero(model)]
     beside = units | dict(recorded)
     for channel, (_, own) in model.outputs.items():
@@ -400,28 +413,34 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     return [*effects, *_holds_of_all(model)]
 
 
-def _commands_of_several(model: Model) -> list[str]:
-    """Known inputs of a model with several inputs: a pump may deliver more than its command.
-
-    With a single input, the error of its gain acts as one of the parameters and outputs.
-    """
-    inputs = recorded_inputs(model)
-    return [n for n in inputs if model.inputs[n].kind == "known"] if len(inputs) > 1 else []
-
-
 def _commands_with_a_zero(model: Model) -> list[str]:
     """Inputs that are known, and whose zero no constant term of one equation stands for.
 
     They act in several equations, as a wheel that steers beside its zero, or by a gain that a
     signal changes, as the opening of a valve does by the pressure before it.
     """
-    rows = [b.total for b in model.balances.values()]
-    rows += [*model._rates.values(), *(e for e, _ in model.outputs.values())]
+    known = [n for n, u in model.inputs.items() if u.kind == "known"]
+    return [n for n in known if _gains(model, n) and constant_beside(model, n) is None]
+
+
+def constant_beside(model: Model, command: str) -> str | None:
+    """The balance or output in which a constant is the bias of an input; None where none is.
+
+    The input acts there alone, by a gain that no signal changes. A rate without a balance has no
+    constant term of its own.
+    """
     signals = ca.vertcat(*(model.symbol(n) for n in (*model.states, *model.inputs)))
+    gains = _gains(model, command)
+    if len(gains) != 1 or any(any(ca.which_depends(g, signals)) for g in gains.values()):
+        return None
+    (where,) = gains
+    return where or None
 
-    def has_a_zero(name: str) -> bool:
-        gains = [ca.jacobian(ca.SX(row), model.symbol(name)) for row in rows]
-        inside = [g for g in gains if g.nnz() and not g.is_zero()]
-        return len(inside) > 1 or any(any(ca.which_depends(g, signals)) for g in inside)
 
-    return [n for n, u in model.inputs.items() if u.kind == "known" and has_a_zero(n)]
+def _gains(model: Model, command: str) -> dict[str, Any]:
+    """How the sides of the equations that an input enters move with it, by balance or output."""
+    rows = {n: b.total for n, b in model.balances.items()}
+    rows |= {n: e for n, (e, _) in model.outputs.items()}
+    sides = [*rows.items(), *(("", e) for e in model._rates.values())]
+    gains = ((n, ca.jacobian(ca.SX(side), model.symbol(command))) for n, side in sides)
+    return {n: g for n, g in gains if g.nnz() and not g.is_zero()}

@@ -311,8 +311,8 @@ def test_a_gain_errs_from_the_zero_of_its_sensor_and_from_where_its_channel_stay
     )
     scales = [e for e in channel_effects_of(m, sizes, {}) if e.kind == "sensor_scale"]
     points = [(e.where, e.constants.get("about", 0.0)) for e in scales]
-    # The zero of a temperature scale means nothing to its sensor.
-    assert points == [("a", 9.81), ("a", 0.0), ("T", 300.0)]
+    # The zero of a temperature scale means nothing to its sensor; a command errs from its zero.
+    assert points == [("a", 9.81), ("a", 0.0), ("T", 300.0), ("F", 0.0)]
 
 
 def test_a_command_has_a_zero_of_its_own_where_a_constant_term_does_not_stand_for_it():
@@ -334,6 +334,17 @@ def test_a_command_has_a_zero_of_its_own_where_a_constant_term_does_not_stand_fo
     assert zeros("added") == []
     assert zeros("times p") == ["u", "p"]
     assert zeros("times level") == ["u"]
+
+
+def test_a_command_of_a_rate_without_a_balance_has_a_zero_of_its_own():
+    """No effect is a constant in such an equation: the bias of the command is the only name."""
+    m = casid.Model("valve")
+    s, u = m.state("s", "1"), m.input("u", "1", known=True)
+    m.derivative(s, m.parameter("rate", "1/s", start=1.0) * (u - s))
+    m.output("s", s, "1")
+    sizes = Sizes(rates={"s": 1.0}, largest={}, window=(0.0, 10.0), longest_delay=0.1)
+    found = channel_effects_of(m, sizes, {})
+    assert [e.where for e in found if e.kind == "sensor_bias"] == ["u"]
 
 
 def test_a_thermometer_that_feels_another_place_shows_a_temperature_between_both():
