@@ -18,7 +18,7 @@ from casid.diagnosis.evidence.scores.score_tests import ScoreTable
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
-from casid.diagnosis.verdict.cause import NO_DOUBTS, Cause, Doubts, Verdict
+from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
 from casid.diagnosis.verdict.gain import changes, decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
 from casid.diagnosis.verdict.sentences import declares, separates
@@ -154,7 +154,8 @@ def _planned(problem: Problem, found: Findings, causes: Sequence[Cause]) -> Advi
             and c.alternatives
             for c in causes
         )
-        rivals = [r.candidate for r in a.rivals]
+        # What is the same term no experiment separates.
+        rivals = [r.candidate for r in a.rivals if not a.is_same_term(r.candidate.effect)]
         if not named or not rivals or a.before is None:
             continue
         suspects = [
@@ -214,13 +215,29 @@ def advice(
         return _of_an_adequate_model(undetectable, doubts)
     for c in causes:
         rivals = [a for a in c.alternatives if (a.kind, a.where) != (c.kind, c.where)]
-        if not rivals:
-            continue
-        others = either_words(a.words for a in rivals)
-        return f"{_apart(doubts)}To separate {c.words} from {others}: {_next_record(c)}."
+        others = [a.words for a in rivals if not a.is_same_term]
+        if others:
+            from_others = f"from {either_words(others)}"
+            return f"{_apart(doubts)}To separate {c.words} {from_others}: {_next_record(c)}."
+    inseparable = next((c for c in causes if c.is_inseparable), None)
+    if inseparable is not None:
+        return _apart(doubts) + _of_one_term(inseparable)
     if all(c.kind in OF_SAMPLES for c in causes):
         return _of_samples(why_undecided, doubts)
     return _apart(doubts) + _of_a_deficient_model(causes, is_better, is_same)
+
+
+def _of_one_term(c: Cause) -> str:
+    """Advice where a cause and all that it may be are the same term of the equations."""
+    every: list[Cause | Alternative] = [c, *c.alternatives]
+    sensors = dict.fromkeys(a.where for a in every if a.kind.startswith("sensor"))
+    how = [f"calibrate {where} independently of these records" for where in sensors]
+    how.append("measure one of them by itself")
+    return (
+        f"No record of these channels can separate {c.words} from "
+        f"{either_words(a.words for a in c.alternatives)}: they are the same term of the "
+        f"equations. Only a reference instrument can: {either_words(how)}."
+    )
 
 
 def _of_an_adequate_model(undetectable: Sequence[str], doubts: Doubts) -> str:

@@ -12,6 +12,7 @@ from casid.errors import ModelError
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words
+from casid.model.effects.same_terms import is_same_term
 from casid.model.model import Model
 
 
@@ -75,6 +76,12 @@ class Adopted:
     rounding: Mapping[str, float] = field(default_factory=dict)
     shifts: tuple[Mapping[str, float], ...] = ()
     instant_errors: tuple[float, ...] = ()
+
+    def is_same_term(self, effect: Effect) -> bool:
+        """True of an effect that no record separates from this one: one term of the equations."""
+        return self.before is not None and is_same_term(
+            self.before.model, self.candidate.effect, effect
+        )
 
     @property
     def rivals_and_near_ones(self) -> tuple[Candidate, ...]:

@@ -24,7 +24,8 @@ class Alternative:
     p_value: float
     why: str
     description: str = ""  # what it is like where the catalogue has no name: kind "unknown"
-    has_reason: bool = False  # `why` says for what it was refused
+    has_reason: bool = False  # `why` says for what it was refused, or that nothing does
+    is_same_term: bool = False  # of the equations: no record of the model's channels separates them
 
     @property
     def name(self) -> str:
@@ -48,7 +49,7 @@ class Alternative:
 
     def to_json(self) -> dict[str, Any]:
         """The fields as `diagnosis.json` holds them."""
-        return plain_fields(self, leave_out=("has_reason",))
+        return plain_fields(self, leave_out=("has_reason", "is_same_term"))
 
 
 _SHARES = ("scale", "gain", "saturated", "rate_limited")
@@ -81,6 +82,11 @@ class Cause:
         own = f"{self.kind} in {self.where}"
         names = tuple(dict.fromkeys((own, *(a.name for a in self.alternatives))))
         return names if len(names) > 1 else ()
+
+    @property
+    def is_inseparable(self) -> bool:
+        """True where all that it may be is one term of the equations: no record separates that."""
+        return bool(self.alternatives) and all(a.is_same_term for a in self.alternatives)
 
     @property
     def words(self) -> str:

@@ -14,7 +14,7 @@ from casid.diagnosis.evidence.recording_faults.plateaus import Plateaus
 from casid.diagnosis.evidence.recording_faults.rectified_channels import Rectified
 from casid.diagnosis.evidence.recording_faults.spikes import Spikes
 from casid.diagnosis.evidence.recording_faults.stuck_sensors import Standstills
-from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
+from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, found_values
 from casid.diagnosis.search.comparison.contributions import contributions_of
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.search.instants.jump_times import events_of
@@ -110,15 +110,7 @@ def _adopted(
     effect = adopted.candidate.effect
     named = {a.candidate.effect.key for a in found.adopted}  # beside it, and not in its place
     alternatives = tuple(
-        Alternative(
-            r.candidate.effect.kind,
-            r.candidate.effect.where,
-            r.p_value,
-            why_alternative(adopted.candidate, r.candidate),
-            r.candidate.effect.description,
-        )
-        for r in adopted.rivals
-        if r.candidate.effect.key not in named
+        _alternative(adopted, r) for r in adopted.rivals if r.candidate.effect.key not in named
     )
     by_record = {s.key: s.by_record for s in found.specific}
     column = columns.get(effect.where)
@@ -141,6 +133,25 @@ def _adopted(
         description=effect.description,
         by_record=by_record.get(effect.key, {}),
     )
+
+
+def _alternative(adopted: Adopted, rival: Rival) -> Alternative:
+    """A rival that the record cannot reject, or that none can: the same term of the equations."""
+    effect, why = rival.candidate.effect, why_alternative(adopted.candidate, rival.candidate)
+    if adopted.is_same_term(effect):
+        as_one = f"as a {effect.shape}, " if effect.shape and effect.end is None else ""
+        why = f"{as_one}is the same term: no record of these channels can separate them"
+        # Even odds, whatever the rounding of two fits makes of them.
+        return Alternative(
+            effect.kind,
+            effect.where,
+            0.5,
+            why,
+            effect.description,
+            has_reason=True,
+            is_same_term=True,
+        )
+    return Alternative(effect.kind, effect.where, rival.p_value, why, effect.description)
 
 
 def _rate_text(candidate: Candidate, parameters: tuple[Estimated, ...]) -> str:

@@ -390,14 +390,17 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
 
 
 _OPEN = "the model lacks one of these, and this record does not separate them: "
+_NEVER = "the model lacks one of these, and no record of these channels can separate them: "
 
 
 def _joined(said: Sequence[str]) -> str:
     """Causes in one sentence; that the record does not separate what they may be stands once."""
     out: list[str] = []
     for text in said:
-        is_again = any(_OPEN in before for before in out)
-        out.append(text.replace(_OPEN, "and one of these: ") if is_again else text)
+        for opening in (_OPEN, _NEVER):
+            if any(opening in before for before in out):
+                text = text.replace(opening, "and one of these: ")
+        out.append(text)
     return "; ".join(out)
 
 
@@ -416,7 +419,7 @@ def _says_cause(c: Cause) -> str:
     if len(words) > DESCRIPTION.names:
         first = words[: DESCRIPTION.names - 1]
         words = [*first, f"one of {len(words) - len(first)} others"]
-    return f"{_OPEN}{either_words(words)}"
+    return f"{_NEVER if c.is_inseparable else _OPEN}{either_words(words)}"
 
 
 def noise_text(at: Weighted, *, is_all: bool = False) -> dict[str, str]:
