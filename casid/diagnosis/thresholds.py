@@ -1292,7 +1292,12 @@ class Planning:
         0.05, "of the predicted record below which its length is not extrapolated", _NEXT
     )
     clearer: float = _is(2.0, "times less energy needed: an experiment preferred for that", _NEXT)
-    shorter: float = _is(0.8, "of the same record again: a clearly shorter one", _NEXT)
+    shorter: float = _is(
+        2 / 3,
+        "of the same record again: a shorter one. A gain of less than a third is none, since "
+        "predicted lengths err by as much",
+        _NEXT,
+    )
     longest: float = _is(
         10.0,
         "times the present records, and an hour at least (`easily`), up to which an experiment is "

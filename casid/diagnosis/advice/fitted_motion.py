@@ -122,14 +122,26 @@ class FittedMotion:
                 slowest = max(slowest, 1 / float(rfftfreq(len(v), d.Ts)[max(half, 1)]))
         return slowest
 
-    def resonates(self) -> bool:
-        """True if a pair of poles is damped so little that the response has a peak."""
-        e, criterion, x = self.at.model.explicit(), self.at.criterion, self.at.fit.x
+    def resonates(self, low: float, high: float) -> bool:
+        """True if the response has a peak between two frequencies [Hz]: a pair of poles there."""
+        e = self._direct.explicit()
         slopes = ca.Function("A", [e.x, e.u, e.p], [ca.densify(ca.jacobian(e.f, e.x))])
-        p, _ = criterion.parameter_vector(x, 0)
-        A = slopes(self.states(0).mean(axis=0), criterion.data[0].u.mean(axis=0), p).full()
+        mean = {n: float(v.mean()) for n, v in self.acting(0).items()}
+        u, values = [mean.get(n, 0.0) for n in e.inputs], self._values(0)
+        A = slopes(self.states(0).mean(axis=0), u, [values[n] for n in e.parameters]).full()
         poles = np.linalg.eigvals(A) if A.size and np.all(np.isfinite(A)) else np.zeros(1)
-        return bool(np.any(np.abs(poles.imag) > np.abs(poles.real)))
+        f = np.abs(poles.imag) / (2 * np.pi)
+        return bool(np.any((np.abs(poles.imag) > np.abs(poles.real)) & (f > low) & (f < high)))
+
+    def is_felt(self, state: str) -> bool:
+        """True if a rate depends on a state: what no rate feels stays where it is released."""
+        explicit = self.at.model.explicit()
+        return any(ca.which_depends(explicit.f, self.at.model.symbol(state)))
+
+    def _values(self, e: int) -> dict[str, float]:
+        """All parameters in one experiment."""
+        p, _ = self.at.criterion.parameter_vector(self.at.fit.x, e)
+        return dict(zip(self.at.model.explicit().parameters, p.tolist(), strict=True))
 
     # -- simulating --------------------------------------------------------------------------
 
@@ -160,9 +172,7 @@ class FittedMotion:
                 columns.append(np.zeros(N) if entry.signal is None else entry.signal(t))
             else:
                 columns.append(acting[name])
-        p, _ = self.at.criterion.parameter_vector(self.at.fit.x, e)
-        values = dict(zip(self.at.model.explicit().parameters, p.tolist(), strict=True))
-        values |= dict(known or {})
+        values = self._values(e) | dict(known or {})
         vector = np.array([values[n] for n in simulator.equations.parameters])
         u = np.column_stack(columns) if columns else np.zeros((N, 0))
         with np.errstate(all="ignore"):

@@ -310,16 +310,17 @@ def advice_sentence(tied: Sequence[str], now: Proposal, proposals: Sequence[Prop
     text = f"To separate {who}: {best.description}"
     if not should:
         text += f". About {record_length_text(best.record_length)} would suffice"
-        text += _beside_the_same(now)
+        text += _beside_the_same(best, now)
     if best.gain_factor > PLANNING.notable:
-        size = best.gain_factor**-0.5  # the energy grows with its square
-        smaller = f"causes {size:.2g} times as large" if size else "far smaller causes"
-        text += f"; it would also separate {smaller}"
+        times = f"{best.gain_factor:.2g} times as large a" if isfinite(best.gain_factor) else "a"
+        text += f"; {times} share of their effects tells them apart there"
     return text + "."
 
 
-def _beside_the_same(now: Proposal) -> str:
+def _beside_the_same(best: Proposal, now: Proposal) -> str:
     """Length that a repeated experiment would need, or that it is of no use; else an empty text."""
+    if best.record_length > PLANNING.shorter * now.record_length:
+        return ", as of the same experiment"
     if now.is_feasible:
         return f", where the same experiment would need {record_length_text(now.record_length)}"
     if isfinite(now.record_length):

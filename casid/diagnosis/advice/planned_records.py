@@ -143,7 +143,7 @@ class Planner:
         """
         centre, top = self.motion.main_frequency(), self.motion.band(EXPERIMENTS.wider)
         low, high = centre / EXPERIMENTS.aside, centre * EXPERIMENTS.aside
-        middle = "resonance" if self.motion.resonates() else "main frequency"
+        middle = "resonance" if self.motion.resonates(low, high) else "main frequency"
         what = (
             f"an excitation of the same strength on both sides of the {middle}, up to {low:.2g} "
             f"Hz and from {high:.2g} to {top:.2g} Hz"
@@ -155,13 +155,18 @@ class Planner:
     def free_decay(self) -> Planned | None:
         """Releases from the largest and half the largest offset seen, nothing acting."""
         made, starts = [], []
+        model = self.model
+        positions = {p for r in model.states if (p := model.position_of(r)) is not None}
+        # A position that nothing restores stays: what moves is then set going by its rate.
+        felt = {n for n in model.states if self.motion.is_felt(n)}
+        released = positions & felt or felt
+        if not released:
+            return None
+        moved = np.array([n in released for n in model.states])
         for e in range(len(self.experiments)):
             x = self.motion.states(e)
             mean = x.mean(axis=0)
             peak = np.max(np.abs(x - mean), axis=0)
-            model = self.model
-            offset = {p for r in model.states if (p := model.position_of(r)) is not None}
-            moved = np.array([n in offset or not offset for n in model.states])
             for label, share in (("", 1.0), (" small", 0.5)):
                 start = mean + np.where(moved, share * peak, 0.0)
                 u = {n: np.full(len(x), np.mean(v)) for n, v in self.motion.acting(e).items()}
@@ -172,7 +177,7 @@ class Planner:
                 cut = self.motion.with_noise(record.between(record.t0, record.t[n - 1]), e)
                 made.append(self.motion.as_experiment(cut, e, label))
                 starts.append(dict(zip(model.states, start.tolist(), strict=True)))
-        what = ", ".join(sorted(offset)) or "initial state"
+        what = ", ".join(sorted(released)) if positions else "initial state"
         seconds = quantity_text(made[0].record.duration, "s")
         return Planned(
             "free decay",

@@ -268,7 +268,8 @@ def planned(name: str, length: float, gain: float = 1.0, seconds: float = 86400.
             5000.0,
             [("decay", 9000.0, 4.0), ("sensor", 2.5, 2.0)],
             "To separate an offset from a bias: sensor. About 2.5 days would suffice, where the "
-            "same experiment would not do in 10 days; it would also separate causes 0.71 times",
+            "same experiment would not do in 10 days; 2 times as large a share of their effects "
+            "tells them apart there.",
             id="a better one is not",
         ),
         pytest.param(
@@ -276,6 +277,18 @@ def planned(name: str, length: float, gain: float = 1.0, seconds: float = 86400.
             [("decay", np.inf, 0.0)],
             "repeat the same experiment for 4 days: no other experiment considered is clearly",
             id="nothing but the same",
+        ),
+        pytest.param(
+            4.0,
+            [("shorter by a tenth", 3.6, 1.0), ("by a quarter", 3.0, 1.2)],
+            "repeat the same experiment for 4 days: no other experiment considered is clearly",
+            id="a little shorter is no advice",
+        ),
+        pytest.param(
+            4.0,
+            [("beside", 3.6, 9.0)],
+            "beside. About 3.6 days would suffice, as of the same experiment; 9 times as large a",
+            id="clearer in as much time",
         ),
         pytest.param(
             0.2,
@@ -286,7 +299,7 @@ def planned(name: str, length: float, gain: float = 1.0, seconds: float = 86400.
         pytest.param(
             0.2,
             [("longer", 0.2, 9.0)],
-            "To separate an offset from a bias: longer; it would also separate causes 0.33 times",
+            "To separate an offset from a bias: longer; 9 times as large a share of their effects",
             id="a clearer one than the present record, which should do",
         ),
     ],
@@ -343,7 +356,7 @@ def test_a_record_of_a_first_order_system_is_no_shorter_than_a_period_and_has_no
     at = first_order(200.0)
     motion = FittedMotion(casid.Problem("store", at.model), at, 0)
     assert motion.period() == pytest.approx(200.0)
-    assert not motion.resonates()
+    assert not motion.resonates(0.0, np.inf)
     (name,) = at.model.balances
     suspects = [
         Suspect(quadratic_damping(at.model, name), 0.5),
@@ -367,8 +380,58 @@ def test_another_load_and_a_sensor_are_said_with_units(planner):
     assert re.search(r"\(noise [0-9.]+ m?rad\)", planner.sensor("phi").description)
 
 
-def test_a_lightly_damped_pendulum_resonates(planner):
-    assert planner.motion.resonates()
+def test_a_lightly_damped_pendulum_resonates_near_what_it_moves_at(planner):
+    f = planner.motion.main_frequency()
+    assert planner.motion.resonates(f / 1.6, f * 1.6)
+    assert not planner.motion.resonates(10 * f, 100 * f)
+
+
+@pytest.fixture(scope="module")
+def lift() -> Planner:
+    """A pump moves a load on oil that rings at 2.5 Hz, up and down once in 20 s."""
+    m = casid.Model("lift")
+    Q, x, v = m.input("Q", "l/min", known=True), m.state("x", "mm"), m.state("v", "mm/s")
+    p, A = m.state("p", "bar"), m.constant("A", 20, "cm^2")
+    d, C = m.parameter("d", "N s/m", start=3000.0), m.parameter("C", "cm^3/bar", value=2.0)
+    m.derivative(x, v)
+    mass = m.parameter("M", "kg", value=800.0)
+    m.balance(v, "force", inertia=mass, terms=[A * p, -d * v], unit="N")
+    m.balance(p, "flow", inertia=C, terms=[Q, -A * v], unit="m^3/s")
+    m.output("x", x, "mm")
+    m.output("p", p, "bar")
+    rng, Ts, t = np.random.default_rng(1), 0.02, 0.02 * np.arange(2000)
+    flow = 1e-4 * np.sin(2 * np.pi * t / 20)
+    area, z, out = 2e-3, np.zeros(3), np.empty((len(t), 2))
+    F = np.array([[0, 1, 0], [0, -3000 / 800, area / 800], [0, -area / 2e-11, 0]])
+    for i, q in enumerate(flow):
+        out[i] = z[0], z[2]
+        for _ in range(100):
+            z = z + Ts / 100 * (F @ z + np.array([0, 0, q / 2e-11]))
+    noisy = out + rng.normal(size=out.shape) * (1e-4, 1e3)
+    record = casid.Record(
+        {"Q": flow, "x": noisy[:, 0], "p": noisy[:, 1]}, {"Q": "m^3/s", "x": "m", "p": "Pa"}, Ts
+    )
+    experiments = [casid.Experiment(record, {})]
+    fit = fit_model(m, experiments, FitSettings(starts=1))
+    at = Weighing(experiments).weigh(m, fit)
+    return Planner(FittedMotion(casid.Problem("lift", m), at))
+
+
+def test_a_resonance_far_from_what_moves_most_is_not_what_an_excitation_keeps_away_from(lift):
+    """The lift goes up and down at 0.05 Hz; its oil rings at 2.5 Hz."""
+    assert lift.motion.main_frequency() < 0.1
+    assert lift.motion.resonates(2.0, 3.0)
+    made = lift.around()
+    assert made is None or made.name == "beside the main frequency"
+
+
+def test_a_position_that_nothing_restores_is_not_what_decays(lift):
+    """Released at another height the load stays there; its speed and its pressure die out."""
+    made = lift.free_decay()
+    assert "released from the largest recorded p, v and" in made.description
+    starts = made.initial
+    assert starts[0]["x"] == pytest.approx(starts[1]["x"])
+    assert abs(starts[0]["v"] - starts[1]["v"]) > 0.01
 
 
 def test_a_parameter_that_depends_on_something_is_said_in_words():
