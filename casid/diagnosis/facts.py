@@ -37,7 +37,7 @@ class Facts:
 
     Attributes
     ----------
-    p_values : (kind, place) -> the family-wise p-value that is shown of it, everywhere.
+    p_values : kind and place (`Cause.key`) -> the family-wise p-value shown of it, everywhere.
     changes : errors before and after, output by output.
     coloured : outputs with an autocorrelated residual under the model that the report recommends,
         and how many lags are outside.
@@ -55,7 +55,7 @@ class Facts:
         """The facts of a diagnosis."""
         p_values = {(r.kind, r.where): r.adjusted for r in d.ranking}
         # A later round judges an effect beside the causes found before it: that is the one shown.
-        p_values |= {(c.kind, c.where): c.p_value for c in (*d.remainders, *d.causes)}
+        p_values |= {c.key: c.p_value for c in (*d.remainders, *d.causes)}
         tied = [c for c in d.causes if c.tied]
         others = {(a.kind, a.where) for c in tied for a in c.alternatives}
         return cls(

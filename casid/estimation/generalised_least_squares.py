@@ -44,6 +44,7 @@ from casid.estimation.noise.residual_autoregressions import (
 )
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.quantities import p_statement
 
 GAIN = 1.1
 """Standard errors of least squares over those of the weighted estimate, of any parameter, from
@@ -264,8 +265,7 @@ def _why_no_noise(weighted: Fit, mine: Sequence[int]) -> str:
         return ""
     left = max(float(residual @ residual) - explained, TINY)
     p = float(f_distribution.sf((explained / columns) / (left / rest), columns, rest))
-    size = f"p = {p:.1g}" if p > TINY else f"p < {TINY:g}"
-    return f"follows the motion ({size})" if p < CONTRADICTED else ""
+    return f"follows the motion ({p_statement(p, '.1g')})" if p < CONTRADICTED else ""
 
 
 def _of_motion(

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from casid.model.quantities import p_statement
+
 Function = Callable[[Mapping[str, float]], float]
 
 
@@ -95,7 +97,7 @@ class Alarm:
         moved = "; ".join(f"{n} from {i} to {self.after[n]}" for n, i in self.before.items())
         return (
             f"t = {self.time:.0f} s: {self.what} changed at about {self.since:.0f} s "
-            f"(T^2 = {self.statistic:.1f}, p = {self.p_value:.1e}): {moved}"
+            f"(T^2 = {self.statistic:.1f}, {p_statement(self.p_value)}): {moved}"
         )
 
 

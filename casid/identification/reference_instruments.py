@@ -27,6 +27,7 @@ from casid.estimation.prediction_error.disturbances import rest_of
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.moment_estimators import instrumental_variables
 from casid.model.model import Model
+from casid.model.quantities import p_statement
 
 LEVEL = 0.01
 """Of the test of overidentification: a p-value below it contradicts the reference."""
@@ -60,7 +61,8 @@ def instrumented(
         return replace(found, refused=f"they give no estimate: {error}")
     p = moments.propagated.p_value
     if p < LEVEL:
-        return replace(found, refused=f"moments of {name} contradict one another (p = {p:.1g})")
+        why = f"moments of {name} contradict one another ({p_statement(p, '.1g')})"
+        return replace(found, refused=why)
     at_bound = [q.name for q in moments.parameters if not q.known and q.std_error is None]
     if at_bound:
         return replace(found, refused=f"{at_bound[0]} is at a bound")

@@ -43,6 +43,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.identification.channel_signs import negated, sign_correction
 from casid.identification.signs_from_moments import sign_flips
 from casid.model.model import Model
+from casid.model.quantities import p_statement
 from casid.time_limit import require_time
 
 POOR = 80.0
@@ -99,7 +100,7 @@ class WrongSign:
         if self.reference:
             gains += (
                 f", and Hansen's J of instruments from {self.reference}, which rejects the signs "
-                f"as recorded (p = {self.p_value:.1g}), to {100 * self.left:.2g} %"
+                f"as recorded ({p_statement(self.p_value, '.1g')}), to {100 * self.left:.2g} %"
             )
         others = f" (or {', '.join(self.rivals)}, which fits as well)" if self.rivals else ""
         return (

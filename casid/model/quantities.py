@@ -7,6 +7,8 @@ import re
 from collections.abc import Sequence
 from decimal import Decimal
 
+from casid.arrays import TINY
+
 _PREFIXED = re.compile(r"(rad|Hz|Pa|[mNVAWJ])(?![\w^])")
 """Units that take a prefix where they stand first, to the power of one."""
 _PREFIXES = {-3: "n", -2: "\u00b5", -1: "m", 0: "", 1: "k", 2: "M", 3: "G"}
@@ -130,6 +132,11 @@ def times_text(factor: float) -> str:
 def are(n: int) -> str:
     """The verb of so many things: 1 gap is, 2 gaps are."""
     return "is" if n == 1 else "are"
+
+
+def p_statement(p: float, form: str = ".2g") -> str:
+    """A p-value in a sentence: `p = 0.012`, and `p < 1e-300` where it is computed as zero."""
+    return f"p < {TINY:g}" if p <= TINY else f"p = {p:{form}}"
 
 
 def listed(names: Sequence[str]) -> str:

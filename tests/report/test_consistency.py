@@ -201,7 +201,7 @@ def _every_effect_has_one_p_value(d: Diagnosis) -> None:
     for c in d.causes:
         words = effect_words(c.kind, c.where)
         found = {row[1] for row in rows if plain(row[0]).startswith(words)}
-        assert found == {p_text(c.p_value)} == {p_text(facts.p_value(c.kind, c.where))}
+        assert found == {p_text(c.p_value)} == {p_text(facts.p_value(*c.key))}
 
 
 def _rows(part: object) -> list[tuple]:

@@ -37,7 +37,7 @@ from casid.diagnosis.unexplained.missing_force import (
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force
 from casid.diagnosis.unexplained.variables import RAMP, STEP, variable_words
 from casid.model.effects.names import either_words
-from casid.model.quantities import span_text
+from casid.model.quantities import p_statement, span_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +144,7 @@ def unexplained(
     is_something = tests.verdict != NOISE or bool(best.dependences)
     occurrences: tuple[Occurrence, ...] = ()
     goes_with: tuple[tuple[str, float], ...] = ()
-    sentences = [f"The remainder is consistent with noise (p = {tests.adjusted:.2g})."]
+    sentences = [f"The remainder is consistent with noise ({p_statement(tests.adjusted)})."]
     where = best.place if best.dependences else ""
     if is_something:
         where = where or _only_balance(at, found)

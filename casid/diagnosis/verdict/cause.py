@@ -70,6 +70,12 @@ class Cause:
     description: str = ""  # what is known of it where the catalogue has no name: kind "unknown"
     by_record: Mapping[str, Mapping[str, Estimated]] = field(default_factory=dict, hash=False)
     # record -> parameter -> value; empty where one value explains all records
+    shape: str = ""  # of the effect, where several of a kind share the place
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Kind and place as the ranking has them, with the shape (`Effect.key`)."""
+        return self.kind, f"{self.where}: {self.shape}" if self.shape else self.where
 
     @property
     def tied(self) -> tuple[str, ...]:
@@ -193,6 +199,11 @@ class Ranked:
     status: str  # "named", "cannot be rejected", "rejected", "not significant", "invisible"
     why: str = ""
     law: str = ""  # that it is called by (`law_of`)
+
+    @property
+    def words(self) -> str:
+        """The effect in words."""
+        return effect_words(self.kind, self.where, description=self.law)
 
 
 def _as_json(p: Estimated) -> dict[str, Any]:

@@ -14,7 +14,7 @@ def ranking(
     search: Search, adopted: Sequence[Adopted], causes: Sequence[Cause]
 ) -> tuple[Ranked, ...]:
     """The first round's candidates, most significant first, one row a kind and place."""
-    named = {(c.kind, c.where) for c in causes} | {a.candidate.effect.key for a in adopted}
+    named = {c.key for c in causes} | {a.candidate.effect.key for a in adopted}
     tied = {(x.kind, x.where) for c in causes for x in c.alternatives}
     tied |= {r.candidate.effect.key for a in adopted for r in a.rivals}
     gains = {c.effect.key: c.gain for c in search.first_candidates}

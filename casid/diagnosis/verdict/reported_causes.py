@@ -98,6 +98,7 @@ def remainders_of(found: Findings) -> tuple[Cause, ...]:
                 share=a.share,
                 sentence=says(effect),
                 description=effect.description,
+                shape=effect.shape,
             )
         )
     return tuple(out)
@@ -132,6 +133,7 @@ def _adopted(
         sentence=sentence,
         description=effect.description,
         by_record=by_record.get(effect.key, {}),
+        shape=effect.shape,
     )
 
 

@@ -123,7 +123,7 @@ def ranking_parts(d: Diagnosis) -> list[Part]:
     first, others = shown[:_MOST], shown[_MOST:]
     not_significant = [r for r in d.ranking if r.status == "not significant"]
     return [
-        _candidates(first, facts, f"{P_VALUE} Gain: fall of the criterion after a refit"),
+        _candidates(first, facts, f"{P_VALUE} {_WHICH_TEST} {_GAIN}"),
         Section(f"{len(others)} more", [_candidates(others, facts, "Further candidates")], "fold"),
         Section(
             f"{len(not_significant)} not significant",
@@ -136,6 +136,13 @@ def ranking_parts(d: Diagnosis) -> list[Part]:
 P_VALUE = (
     "p: the probability that noise alone makes any of the candidates look this strong "
     "(family-wise)."
+)
+
+
+_GAIN = "Gain: fall of the criterion after a refit"
+_WHICH_TEST = (
+    "Of what is named, the test is that of the refit at which it was named, as above; of all "
+    "others, the score test of the model as it is."
 )
 
 

@@ -139,7 +139,7 @@ def _gains(facts: Facts) -> Iterator[Card]:
 
 def _how_sure(d: Diagnosis, facts: Facts) -> Iterator[Card]:
     for c in d.causes[:2]:
-        p = p_text(facts.p_value(c.kind, c.where))
+        p = p_text(facts.p_value(*c.key))
         text = p if p.startswith("<") else f"= {p}"
         others = f"; not separated from {len(c.tied) - 1} other" if c.tied else ""
         others += "s" if len(c.tied) > 2 else ""

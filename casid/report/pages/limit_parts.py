@@ -20,10 +20,11 @@ def inseparable(d: Diagnosis) -> Table | str | None:
     for c in d.causes:
         same = ("indistinguishable from ", *effect_in_words(c.kind, c.where, c.description))
         for a in c.alternatives:
-            listed.add(_without_function(a.kind, a.where))
+            listed |= {_without_function(a.kind, a.where), (a.kind, a.words)}
             rows.append((effect_in_words(a.kind, a.where, a.description), same, a.why))
     for r in d.ranking:
-        if r.status == "cannot be rejected" and _without_function(r.kind, r.where) not in listed:
+        same = {_without_function(r.kind, r.where), (r.kind, r.words)}
+        if r.status == "cannot be rejected" and not same & listed:
             rows.append((effect_in_words(r.kind, r.where, r.law), r.status, r.why))
     for r in d.ranking:
         if r.status == "invisible" and not d.undetectable:  # else they have a section of their own

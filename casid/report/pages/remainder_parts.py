@@ -115,5 +115,5 @@ def moved_table(d: Diagnosis) -> Table:
         rows,
         numbers=(2, 3, 4, 5),
         caption="Estimates without and with the named causes. Bias removed: the error that leaving "
-        "them out had caused; moved: in standard errors of the estimate after",
+        "them out had caused; moved: in standard errors, the larger of those before and after",
     )

@@ -12,7 +12,7 @@ from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.diagnosis.facts import Facts
 from casid.estimation.estimate import Estimated
 from casid.model.effects.names import effect_words
-from casid.model.quantities import count_text, instant_text, shortened
+from casid.model.quantities import count_text, instant_text, p_statement, shortened
 from casid.report.document import Code, Document, Identifier, Labelled, Table, labelled
 from casid.report.numbers import in_readable_unit, interval_text, number_text
 
@@ -82,21 +82,22 @@ def _cause(i: int, c: Cause) -> Iterator[str]:
         like = ""  # the words say it
     yield (
         f"  {i}. {'one of: ' if c.tied else ''}{c.words} [{c.kind}] "
-        f"(p = {c.p_value:.1e})"
+        f"({p_statement(c.p_value, '.1e')})"
         + (f": {like}" if like else "")
         + (f"{';' if like else ':'} {values}" if values else "")
     )
     for record, found in c.by_record.items():
         yield f"     {record}: " + ", ".join(_value(p) for p in found.values())
     for a in c.alternatives:
-        against = "" if a.is_as_likely else f" (p = {a.p_value:.2g} against the named one)"
+        against = "" if a.is_as_likely else f" ({p_statement(a.p_value)} against the named one)"
         yield f"     or {a.words} [{a.kind}]{against}: {a.why}"
 
 
 def _remainder(c: Cause) -> Iterator[str]:
     like = f" ({c.description.rstrip('.')})" if c.kind == "unknown" and c.description else ""
     values = "".join(f"{_value(p)}, " for p in c.parameters)
-    yield f"{c.words}{like}: {values}{100 * c.share:.2g} % of the misfit, p = {c.p_value:.1e}"
+    p = p_statement(c.p_value, ".1e")
+    yield f"{c.words}{like}: {values}{100 * c.share:.2g} % of the misfit, {p}"
 
 
 def _value(p: Estimated) -> str:

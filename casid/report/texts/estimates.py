@@ -14,7 +14,7 @@ from casid.estimation.reconciliation import Reconciled
 from casid.estimation.regression.regression_estimate import RegressionEstimate
 from casid.identification.grey_box import Prediction
 from casid.identification.iterative_joint_instruments import IterativeJoint
-from casid.model.quantities import count_text
+from casid.model.quantities import count_text, p_statement
 from casid.model.units import difference_from_si
 from casid.report.document import Document, Labelled, Table
 from casid.report.numbers import interval_lines, interval_text, is_half_open
@@ -168,7 +168,7 @@ def regression_document(estimate: RegressionEstimate) -> Document:
 
 def reconciled_document(found: Reconciled) -> Document:
     """Whether the readings contradict one another, and every quantity beside its reading."""
-    verdict = "nothing to test" if found.degrees == 0 else f"p = {found.p_value:.2g}"
+    verdict = "nothing to test" if found.degrees == 0 else p_statement(found.p_value)
     parts: list[str | Table] = []
     if not found.is_consistent:
         parts.append("  the readings CONTRADICT one another; set aside, with the correction:")

@@ -15,9 +15,11 @@ from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.evidence.disturbances import Disturbance
+from casid.diagnosis.facts import Facts
 from casid.diagnosis.verdict.cause import Doubts, Ranked
 from casid.diagnosis.verdict.gain import changes, improves
 from casid.diagnosis.verdict.not_accepted import NOT_ACCEPTED
+from casid.diagnosis.verdict.remainder import Moved
 from casid.diagnosis.verdict.sentences import (
     noise_text,
     says,
@@ -32,8 +34,10 @@ from casid.model.effects.channels.channel_effects import hold, sensor_bias
 from casid.model.effects.clock_effects import bias_drift, offset_step
 from casid.model.effects.names import effect_words, law_of
 from casid.model.effects.parameter_effects import parameter_drift
+from casid.model.quantities import p_statement
 from casid.model.units import unit_quotient
 from casid.report.figures.style import short_label
+from casid.report.pages.remainder_parts import moved_table
 from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
@@ -530,3 +534,30 @@ def test_a_bias_says_over_what_it_grows_and_with_which_sign_a_command_acts():
     drifting = says(bias_drift(m, "co2", (0.0, 240000.0)))
     assert drifting.endswith("grows steadily (its size is what it grows to from 0 s to 2.78 d)")
     assert "acts beside its zero, as q - bias_q (an error of" in says(sensor_bias(m, "q"))
+
+
+def test_a_p_value_below_what_can_be_computed_is_said_to_be():
+    """It is bounded where it is computed, and is not 1e-300."""
+    text = str(changed(small(), causes=(replace(NAMED, p_value=1e-300),)))
+    assert "(p < 1e-300)" in text
+    assert "1.0e-300" not in text
+    assert p_statement(0.0) == p_statement(1e-300) == "p < 1e-300"
+    assert p_statement(0.0123) == "p = 0.012"
+
+
+def test_a_cause_that_sets_in_has_its_own_row_among_the_candidates():
+    """What sets in and what was always there are two effects in one balance, of two p-values."""
+    cause = Cause("offset", "torque", 1e-78, (), description="a constant torque sets in")
+    step = Ranked("offset", "torque: step", 0.02, 0.54, 2900.0, "named")
+    steady = Ranked("offset", "torque", 0.05, 0.81, None, "not significant")
+    d = changed(small(), causes=(replace(cause, shape="step"),), ranking=(step, steady))
+    facts = Facts.of(d)
+    assert facts.p_value("offset", "torque: step") == 1e-78
+    assert facts.p_value("offset", "torque") == 0.81
+
+
+def test_a_moved_parameter_is_measured_in_the_larger_of_both_errors():
+    """As the caption beside it says: the error before is often the larger one."""
+    moved = Moved("k", "N/m", 10.0, 16.0, std_error_after=1.0, std_error_before=2.0)
+    assert moved.shift == pytest.approx(3.0)
+    assert "the larger of those before and after" in moved_table(changed(small())).caption

@@ -32,6 +32,7 @@ from casid.estimation.moments.instruments.relay_reversals import (
     reversals,
     switching_p_value,
 )
+from casid.model.quantities import p_statement
 
 Method = Literal["regression", "switching"]
 
@@ -114,19 +115,20 @@ class Dependence:
     def __repr__(self) -> str:
         return (
             f"<Dependence of {self.reference} in {self.record}: "
-            f"{'shown' if self.depends else 'not shown'}, p = {self.p_value:.2g}, {self.method}>"
+            f"{'shown' if self.depends else 'not shown'}, {p_statement(self.p_value)}, "
+            f"{self.method}>"
         )
 
     def __str__(self) -> str:
         how = f"{self.lags} lags" if self.method == "regression" else f"{self.reversals} reversals"
         lines = [
             f"Does {self.reference} depend on past outputs? {self.record}, {self.method}, {how}",
-            f"  {'yes' if self.depends else 'not shown'}, p = {self.p_value:.3g}",
+            f"  {'yes' if self.depends else 'not shown'}, {p_statement(self.p_value, '.3g')}",
         ]
         for name, p in self.by_output.items():
             c = (self.thresholds or {}).get(name, float("nan"))
             lines.append(
-                f"  {name:12}  p = {p:.3g}"
+                f"  {name:12}  {p_statement(p, '.3g')}"
                 + (f"; turns at +-{abs(c):.4g}" if np.isfinite(c) else "")
             )
         lines += [f"  claim         {self.claim}", f"  assumes       {ASSUMES[self.method]}"]

@@ -27,6 +27,7 @@ from casid.estimation.moments.stages.propagation import Propagated, free_slope, 
 from casid.estimation.moments.stages.stage import StageFit
 from casid.estimation.noise.noise_floor import white_floor
 from casid.model.model import Model
+from casid.model.quantities import p_statement
 from casid.versions import versions
 
 SOURCES = (
@@ -107,9 +108,10 @@ def _as_estimate(
     if propagated.p_value < 0.01:
         builder.warnings.append(
             f"the moments contradict one another (chi2 {propagated.statistic:.3g} with "
-            f"{propagated.degrees} degrees of freedom, p = {propagated.p_value:.1g}): a known "
-            "value, a load case or the model is wrong (a prefilter that lifts high frequencies "
-            "lifts the discretisation's error), or the reference is not independent of the noise"
+            f"{propagated.degrees} degrees of freedom, {p_statement(propagated.p_value, '.1g')}): "
+            "a known value, a load case or the model is wrong (a prefilter that lifts high "
+            "frequencies lifts the discretisation's error), or the reference is not independent of "
+            "the noise"
         )
     for st in fits:
         _add_fits(builder, st)
@@ -227,7 +229,8 @@ def _evidence(fits: Sequence[StageFit], p: Propagated) -> dict[str, str]:
     """The overidentification test, and the relevance of the instruments of each part."""
     out = {
         "surplus": (
-            f"{p.degrees} moments more than parameters, chi2 {p.statistic:.3g}, p = {p.p_value:.2g}"
+            f"{p.degrees} moments more than parameters, chi2 {p.statistic:.3g}, "
+            f"{p_statement(p.p_value)}"
             + (" (the moments contradict one another)" if p.p_value < 0.01 else "")
             if p.degrees
             else "none: as many moments as parameters, nothing to test"

@@ -25,6 +25,7 @@ from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.linear.sampled.difference_equation import DifferenceEquation
 from casid.model.declarations import Parameter
+from casid.model.quantities import p_statement
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, without_noise
 from casid.unknown_inputs.networks.estimation.module_regression import module_regression
@@ -200,7 +201,7 @@ class _Program:
         return {
             "moments": f"{len(x) + degrees} for {len(x)} coefficients",
             "overidentified": f"chi squared {statistic:.1f} of {degrees} degrees, "
-            f"p = {self.p_value(moments, x):.2g}",
+            f"{p_statement(self.p_value(moments, x))}",
         }
 
     def p_value(self, moments: MomentEquations, x: Array) -> float:
