@@ -23,8 +23,8 @@ def inseparable(d: Diagnosis) -> Table | str | None:
             listed |= {_without_function(a.kind, a.where), (a.kind, a.words)}
             rows.append((effect_in_words(a.kind, a.where, a.description), same, a.why))
     for r in d.ranking:
-        same = {_without_function(r.kind, r.where), (r.kind, r.words)}
-        if r.status == "cannot be rejected" and not same & listed:
+        names = {_without_function(r.kind, r.where), (r.kind, r.words)}
+        if r.status == "cannot be rejected" and not names & listed:
             rows.append((effect_in_words(r.kind, r.where, r.law), r.status, r.why))
     for r in d.ranking:
         if r.status == "invisible" and not d.undetectable:  # else they have a section of their own

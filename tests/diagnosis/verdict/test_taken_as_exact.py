@@ -103,3 +103,19 @@ def test_the_notes_name_what_is_never_suspected_and_how_to_have_it_suspected():
     assert "have it estimated, `parameter(name, unit, start=)`" in constants
     assert "never suspected of any: D." in commands
     assert taken_as_exact(converter(known=False).model) == (constants,)
+
+
+@pytest.mark.slow
+def test_a_measured_input_s_bias_is_the_same_term_as_a_constant_in_its_one_balance():
+    """What the switch loses might be a bias of the duty cycle: no record shows which."""
+    found = casid.diagnose(converter(known=False), switched(1.0, 0.4), hold_out=0.0)
+    (cause,) = found.causes
+    assert {(cause.kind, cause.where)} | {(a.kind, a.where) for a in cause.alternatives} == {
+        ("offset", "voltage"),
+        ("sensor_bias", "D"),
+    }
+    assert cause.is_inseparable
+    assert "no record of these channels can separate them" in found.sentence
+    assert found.advice.startswith("No record of these channels can separate")
+    assert found.proposals == ()
+    assert "against the named one" not in str(found)
