@@ -116,6 +116,7 @@ class Alignment:
             f"{reference.name}+{other.name}",
             missing,
             (*reference.provenance, *history, step),
+            clock=reference.clock,
         )
 
 

@@ -8,7 +8,7 @@ noise of the sources is carried through whatever the computation does, without a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -186,6 +186,7 @@ def derive(
         record.name,
         {n: m[cut] for n, m in record.missing.items()},
         (*record.provenance, *steps),
+        clock=record.clock,
     )
 
 
@@ -195,6 +196,4 @@ def _edge(entry: Derived, record: Record) -> int:
 
 def _moved(record: Record, by: Mapping[str, FloatArray], sign: float) -> Record:
     channels = {n: v + sign * by[n] if n in by else v for n, v in record.channels.items()}
-    return Record(
-        channels, record.units, record.Ts, record.t0, record.name, record.missing, record.provenance
-    )
+    return replace(record, channels=channels, late={})

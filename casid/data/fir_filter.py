@@ -131,6 +131,7 @@ class FirFilter(Presented):
             record.name,
             {name: _dilated(mask, M)[cut] for name, mask in record.missing.items()},
             (*record.provenance, step),
+            clock=record.clock,
         )
 
 

@@ -72,6 +72,7 @@ def decimate(record: Record, factor: int, *, edges: Edges = "trim") -> Record:
         smooth.name,
         {n: m[::factor] for n, m in smooth.missing.items()},
         (*smooth.provenance, f"decimated: 1 in {factor} kept, Ts = {smooth.Ts * factor:g} s"),
+        clock=smooth.clock,
     )
 
 
@@ -116,4 +117,5 @@ def detrend(record: Record, order: int = 0) -> Record:
         record.name,
         record.missing,
         (*record.provenance, step),
+        clock=record.clock,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -44,6 +45,9 @@ class Record(RecordMethods, Presented, PickledByFields):
         unevenly; a channel without was read at its instants. A held input stepped then.
     provenance : tuple of str
         One line of text a step: file with its sha256, unit conversions, filters, windows.
+    clock : str
+        Names the clock that `t` is read on. Windows of a record, or of a file, have it in common;
+        a record that is made of arrays has one of its own.
 
     Raises
     ------
@@ -73,6 +77,7 @@ class Record(RecordMethods, Presented, PickledByFields):
     missing: Mapping[str, BoolArray] = field(default_factory=dict)
     provenance: tuple[str, ...] = ()
     late: Mapping[str, FloatArray] = field(default_factory=dict)
+    clock: str = ""
 
     def __post_init__(self) -> None:
         _check_clock(self.name, self.Ts, self.t0)
@@ -110,6 +115,7 @@ class Record(RecordMethods, Presented, PickledByFields):
         set_field(self, "Ts", float(self.Ts))
         set_field(self, "t0", float(self.t0))
         set_field(self, "provenance", tuple(self.provenance))
+        set_field(self, "clock", self.clock or _clock_of(self))
 
     # ------------------------------------------------------------------ reading it
 
@@ -203,6 +209,7 @@ class Record(RecordMethods, Presented, PickledByFields):
             "name": self.name,
             "missing": self.missing,
             "provenance": (*self.provenance, step),
+            "clock": self.clock,
         }
         return Record(**(fields | changes))
 
@@ -362,6 +369,14 @@ def with_samples(record: Record, channel: str, values: Array) -> Record:
     finite = np.where(mask & ~np.isfinite(values), 0.0, values)
     new = record.with_channel(channel, finite, record.units[channel])
     return new.mark_missing(channel, mask) if mask.any() else new
+
+
+def _clock_of(record: Record) -> str:
+    """A name of the clock of samples that come from nowhere: nothing but they has it."""
+    text = hashlib.sha256(repr((record.Ts, record.t0, record.names)).encode())
+    for values in record.channels.values():
+        text.update(np.ascontiguousarray(values).tobytes())
+    return text.hexdigest()
 
 
 def _check_clock(name: str, Ts: object, t0: object) -> None:

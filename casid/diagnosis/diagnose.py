@@ -34,6 +34,7 @@ from casid.estimation.holdout import Split, split_records
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.records.input_gaps import with_gaps_treated
+from casid.estimation.simulation.records.signals import clock_inputs
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.problem_notes import problem_notes
 from casid.model.rate_laws import with_balances
@@ -81,7 +82,9 @@ def diagnose(
         the problem's own example. A cause has to explain all of them with one size, or is reported
         with the size of each record.
     hold_out : share of each record, at its end, that is not fitted (the simulation continues into
-        it), or whole records of their own (their initial state is refitted). 0 fits everything.
+        it), or whole records of their own (their initial state is refitted). 0 fits everything. A
+        change at an instant acts in windows of the fitted record, or file; a record on another
+        clock neither confirms nor refutes it.
     false_alarm_rate : family-wise, for the whole catalogue.
     max_causes : the search stops there.
     without : kinds that are left out of the catalogue.
@@ -141,7 +144,8 @@ def diagnose(
     require_settings(problem, false_alarm_rate, max_causes, without, budget)
     if calibrate:
         require_runs(calibrate)
-    split = split_records(chosen, hold_out)
+    stated = frozenset(clock_inputs(problem.model))
+    split = replace(split_records(chosen, hold_out), stated=stated)
     starts = problem.starts if starts is None else starts
     settings = DiagnosisSettings(
         false_alarm_rate,

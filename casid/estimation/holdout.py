@@ -17,7 +17,13 @@ from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.estimate import RecordView
 from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.records.signals import Signals, signals_of, window_cuts
+from casid.estimation.simulation.records.signals import (
+    Signals,
+    clock_inputs,
+    off_the_clock,
+    signals_of,
+    window_cuts,
+)
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 from casid.model.quantities import growth_text, percent_text
@@ -49,6 +55,7 @@ class Split:
     whole: list[Experiment]  # the same records to their end
     held: list[Array]  # (N,) bool, held-out samples of each whole record
     apart: list[Experiment]  # records held out as a whole
+    stated: frozenset[str] = frozenset()  # inputs on the clock that the problem itself has
 
     @property
     def is_empty(self) -> bool:
@@ -65,12 +72,26 @@ class Split:
 
         whole = [marked(e, m) for e, m in zip(self.whole, masks, strict=True)]
         fitted = [marked(f, m[: f.record.N]) for f, m in zip(self.fitted, masks, strict=True)]
-        return Split(
-            fitted,
-            whole,
-            self.held,
-            [marked(e, m) for e, m in zip(self.apart, apart, strict=True)],
-        )
+        apart_too = [marked(e, m) for e, m in zip(self.apart, apart, strict=True)]
+        return replace(self, fitted=fitted, whole=whole, apart=apart_too)
+
+    def judges(self, model: Model, experiment: Experiment) -> bool:
+        """Whether a record held out as a whole shows how wrong a model is.
+
+        One on another clock than the records fitted does not where the model has found a step, a
+        drift or a phase on theirs: whether that acts there, nothing says.
+        """
+        found = set(clock_inputs(model)) - self.stated
+        return not found or shares_clock(experiment, self.whole)
+
+    def judging(self, model: Model) -> Split:
+        """Itself with those records held out as a whole that judge a model."""
+        return replace(self, apart=[e for e in self.apart if self.judges(model, e)])
+
+
+def shares_clock(experiment: Experiment, others: Sequence[Experiment]) -> bool:
+    """True of a record on the clock of another one: both are windows of one record or file."""
+    return any(e.record.clock == experiment.record.clock for e in others)
 
 
 def split_records(
@@ -131,7 +152,7 @@ def holding_out_measured(split: Split, outputs: Sequence[str]) -> tuple[Split, s
             )
     if not notes:
         return split, ""
-    return replace(_split_at(split.whole, kept), apart=split.apart), "; ".join(notes)
+    return _split_again(split, _split_at(split.whole, kept)), "; ".join(notes)
 
 
 def holding_out_less(split: Split) -> Split:
@@ -141,7 +162,12 @@ def holding_out_less(split: Split) -> Split:
     """
     share = max((float(np.mean(held)) for held in split.held), default=0.0)
     share = share / 2 if share > LEAST_HELD_OUT else 0.0
-    return replace(split_records(split.whole, share), apart=split.apart)
+    return _split_again(split, split_records(split.whole, share))
+
+
+def _split_again(split: Split, ends: Split) -> Split:
+    """A split with other ends held out."""
+    return replace(split, fitted=ends.fitted, whole=ends.whole, held=ends.held)
 
 
 def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array, Array]:
@@ -168,12 +194,10 @@ def end_in_windows(fit: Fit, whole: Experiment, first: int) -> tuple[SimulationE
     simulated by itself, and for figures.
     """
     tail = replace(whole, record=_tail(whole.record, first), name="")
-    return in_windows(fit, tail, on_clock=True)
+    return in_windows(fit, tail)
 
 
-def in_windows(
-    fit: Fit, experiment: Experiment, *, on_clock: bool
-) -> tuple[SimulationError, Array]:
+def in_windows(fit: Fit, experiment: Experiment) -> tuple[SimulationError, Array]:
     """A record that was not fitted, window by window as long as a segment of the fit.
 
     Each begins in a state estimated from the window alone. Over a longer time a simulation of an
@@ -185,7 +209,7 @@ def in_windows(
     """
     model, windowed = fit.criterion.model, replace(experiment, window=window_length(fit))
     nowhere = dict.fromkeys(model.states, np.nan)
-    return _states_apart(fit, windowed, on_clock=on_clock, near=nowhere)
+    return _states_apart(fit, windowed, near=nowhere)
 
 
 def window_length(fit: Fit) -> int:
@@ -214,31 +238,31 @@ def simulate_apart(
     fit: Fit,
     experiment: Experiment,
     *,
-    on_clock: bool = False,
     near: Mapping[str, float] | None = None,
 ) -> tuple[Signals, Array, Array]:
     """Simulate a record that was not fitted, `begun_apart`: signals, outputs (N, ny), states."""
-    return _simulated(*begun_apart(fit, experiment, on_clock=on_clock, near=near))
+    return _simulated(*begun_apart(fit, experiment, near=near))
 
 
 def begun_apart(
     fit: Fit,
     experiment: Experiment,
     *,
-    on_clock: bool = False,
     near: Mapping[str, float] | None = None,
 ) -> tuple[SimulationError, Array]:
     """The criterion of a record that was not fitted, its initial state estimated and nothing else.
 
+    A step at an instant of the records fitted acts in it where it is on their clock, as the end of
+    one of them is (`shares_clock`): in another it is zero.
+
     Parameters
     ----------
-    on_clock : whether it has the clock of the records fitted, as the end of one of them does.
     near : of such an end the state that the simulation of the whole record has there. The search
         may begin at it, and what the model says of the state that records begin in says nothing.
     """
     if has_windows(fit):
-        return in_windows(fit, experiment, on_clock=on_clock)
-    return _states_apart(fit, experiment, on_clock=on_clock, near=near)
+        return in_windows(fit, experiment)
+    return _states_apart(fit, experiment, near=near)
 
 
 def has_windows(fit: Fit) -> bool:
@@ -253,7 +277,7 @@ def _simulated(criterion: SimulationError, point: Array) -> tuple[Signals, Array
 
 
 def _states_apart(
-    fit: Fit, experiment: Experiment, *, on_clock: bool, near: Mapping[str, float] | None
+    fit: Fit, experiment: Experiment, *, near: Mapping[str, float] | None
 ) -> tuple[SimulationError, Array]:
     old = fit.criterion
     known = {n: fit.values[n] for n in old.free if n in fit.values}
@@ -261,10 +285,12 @@ def _states_apart(
         values = [v for k, v in fit.values.items() if k.startswith(f"{n}@")]
         known.setdefault(n, float(np.mean(values)) if values else fit.values.get(n, 0.0))
     model = old.model.with_known(**known)
+    if not shares_clock(experiment, old.experiments):
+        model = off_the_clock(model)
     if near is not None:
         model, near = _begun_midway(model, near)
     return fit_initial_state(
-        model, experiment, weights=old.weights, substeps=old.substeps, on_clock=on_clock, near=near
+        model, experiment, weights=old.weights, substeps=old.substeps, near=near
     )
 
 
@@ -335,13 +361,34 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
                 there = whole_simulation(fit, split, i)[2][first]
                 near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
                 tail = replace(e, record=_tail(e.record, first))
-                d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
+                d, y, _ = simulate_apart(fit, tail, near=near)
             parts.append(np.where(d.used, d.errors(y), np.nan) * weights)
-    rest = Split([], [], [], split.apart) if anew else split
-    parts += [h.error * weights for h in validation(fit, rest)]
+    if not anew:
+        parts += [h.error * weights for h in validation(fit, replace(split, apart=[]))]
+    parts += [error_apart(fit, split, e) * weights for e in split.apart]
     if has_windows(fit):
         parts = [error_per_window(fit, error) for error in parts]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
+
+
+def error_apart(fit: Fit, split: Split, experiment: Experiment) -> Array:
+    """(N, ny) errors in a record held out as a whole; NaN where it does not judge the model."""
+    if not split.judges(fit.criterion.model, experiment):
+        return no_error(fit, experiment)
+    d, y, _ = simulate_apart(fit, experiment)
+    return np.where(d.used, d.errors(y), np.nan)
+
+
+def no_error(fit: Fit, experiment: Experiment) -> Array:
+    """(N, ny) NaN: no sample of the record counts."""
+    used = signals_of(fit.criterion.model, experiment).used
+    return np.full(used.shape, np.nan)
+
+
+def counted_by_all(*errors: Array) -> list[Array]:
+    """Errors (M, ny) of several models, NaN wherever those of one are."""
+    counts = np.all([~np.isnan(e) for e in errors], axis=0)
+    return [np.where(counts, e, np.nan) for e in errors]
 
 
 def _tail(record: Record, first: int) -> Record:
@@ -355,7 +402,8 @@ def why_no_better(before: Array, after: Array) -> str:
     The fall of the squared error must not be chance: Diebold and Mariano's (1995) test at 20 %,
     unless it is larger than a tenth.
     """
-    if not len(before):
+    before, after = counted_by_all(before, after)
+    if np.all(np.isnan(before)):
         return ""
     difference = np.nansum(before**2 - after**2, axis=1)
     if not np.all(np.isfinite(difference)):
@@ -385,7 +433,8 @@ def degrees_of_freedom(error: Array) -> float:
 
 def why_worse(before: Array, after: Array) -> str:
     """Why an extension is refused by what was held out, or an empty text: it makes it worse."""
-    if not len(before):
+    before, after = counted_by_all(before, after)
+    if np.all(np.isnan(before)):
         return ""
     old, new = float(np.nansum(before**2)), float(np.nansum(after**2))
     if not np.isfinite(new):

@@ -421,11 +421,11 @@ def quick_settings(settings: FitSettings) -> FitSettings:
 
 def negated_split(split: Split, channel: str) -> Split:
     """What is fitted and what is held out, with one channel negated."""
-    return Split(
-        negated(split.fitted, channel),
-        negated(split.whole, channel),
-        split.held,
-        negated(split.apart, channel),
+    return replace(
+        split,
+        fitted=negated(split.fitted, channel),
+        whole=negated(split.whole, channel),
+        apart=negated(split.apart, channel),
     )
 
 

@@ -54,8 +54,8 @@ def with_noise_sizes(
     if not found:
         return split, ()
     n = len(runs)
-    cut = Split(sized(split.fitted), sized(split.whole), split.held, sized(split.apart, n))
-    return cut, tuple(found)
+    fitted, whole, apart = sized(split.fitted), sized(split.whole), sized(split.apart, n)
+    return replace(split, fitted=fitted, whole=whole, apart=apart), tuple(found)
 
 
 def fitted_in_sizes(

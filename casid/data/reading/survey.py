@@ -117,7 +117,8 @@ def survey(
         count = count_text(N, "sample")
         text = f"{source.name}: {count}; a record needs at least 2."
         return found.with_fault(Fault("length", text, "Give a longer file."))
-    steps = [f"read {source.name}{_digest(source)}, {N} samples"]
+    digest = sha256(source) if source.is_file() else ""
+    steps = [f"read {source.name}{f' (sha256 {digest})' if digest else ''}, {N} samples"]
     _read_clock(opened, found, steps, is_chosen=options.time is not None)
     opened = _with_united_rows(opened, found, options, describe=describe)
     if describe:
@@ -139,7 +140,11 @@ def survey(
         return found
     part = f"@{window_text(*window)}" if window is not None else ""
     label = options.name or f"{_stem(source)}{part}"
-    found.record = _record(channels, found, options, label, steps, clock)
+    record = _record(channels, found, options, label, steps, clock)
+    if record is not None and digest:
+        time = found.clock or f"Ts = {opened.table.form.Ts:g} s"
+        record = replace(record, clock=f"{time} {opened.table.form.table or ''} in {digest}")
+    found.record = record
     return found
 
 
@@ -330,10 +335,6 @@ def _require_positive(**seconds: float | None) -> None:
     for option, value in seconds.items():
         if value is not None and not (np.isfinite(value) and value > 0):
             raise DataError(f"{option} = {value!r} s. Give a positive number of seconds.")
-
-
-def _digest(source: Path) -> str:
-    return f" (sha256 {sha256(source)})" if source.is_file() else ""
 
 
 def _stem(source: Path) -> str:

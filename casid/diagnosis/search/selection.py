@@ -38,6 +38,7 @@ from casid.diagnosis.search.comparison.simulation_errors import (
     SimulationErrors,
     Soundness,
     is_as_good_held_out,
+    on_common_samples,
     simulation_errors,
     why_much_worse,
     why_not_adopted,
@@ -422,7 +423,8 @@ class Selection:
         fit = whole_fit(other.model, self.split, self.settings, self.units, other.fit.values)
         instead = self.search.weighing.weigh(other.model, fit, rounds=1)
         errors = simulation_errors(fit, self.split, self.units)
-        is_worse = errors.held_out_square > self.errors.held_out_square
+        old, new = on_common_samples(self.errors, errors)
+        is_worse = new.held_out_square > old.held_out_square
         if is_worse or instead.noise_absorbs_misfit:
             return False
         if is_more_than_noise(instead, self.search) and not is_more_than_noise(

@@ -192,7 +192,8 @@ def unlike_held_out(
     of : whose errors, those of the model as it is or "extended_rmse".
     """
     base = found.baseline
-    by_chance = chance_by_noise(found.at.fit, found.at, base.split)
+    judged = base.split.judging(found.best_fit.criterion.model)
+    by_chance = chance_by_noise(found.at.fit, found.at, judged)
     for output, error in held.get(of, {}).items():
         inside = fitted[of].get(output, math.nan)
         floor = fitted["noise_floor"][output]
@@ -265,13 +266,14 @@ Errors = dict[str, dict[str, float]]
 def errors_of(found: Findings, *, with_disturbances: bool = False) -> tuple[Errors, Errors]:
     """RMS errors before and after and the noise floor, of what was fitted and what was held out."""
     base_fit, best_fit, base = found.base_fit, found.best_fit, found.baseline
+    recorded, split = (s.judging(best_fit.criterion.model) for s in (base.recorded, base.split))
     limits = clipping_limits(best_fit)
     reference, clipped = (best_fit, limits) if base.negated is None else (base_fit, {})
-    fitted = {"baseline_rmse": rmse(base_fit, reference, base.recorded, clipped, held=False)}
-    held = {"baseline_rmse": rmse(base_fit, reference, base.recorded, clipped, held=True)}
+    fitted = {"baseline_rmse": rmse(base_fit, reference, recorded, clipped, held=False)}
+    held = {"baseline_rmse": rmse(base_fit, reference, recorded, clipped, held=True)}
     if found.extended_fit is not None or base.corrupted.count:
-        fitted["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=False)
-        held["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=True)
+        fitted["extended_rmse"] = rmse(best_fit, best_fit, split, limits, held=False)
+        held["extended_rmse"] = rmse(best_fit, best_fit, split, limits, held=True)
     floor = noise_floor(found.at, with_disturbances=with_disturbances)
     if with_disturbances:
         # The spectrum of a force is that of what it moves here, to which the fit adapts in part:
@@ -279,7 +281,7 @@ def errors_of(found: Findings, *, with_disturbances: bool = False) -> tuple[Erro
         left = fitted.get("extended_rmse") or fitted["baseline_rmse"]
         floor = {o: min(size, left.get(o, size)) for o, size in floor.items()}
     fitted["noise_floor"] = held["noise_floor"] = floor
-    return fitted, {} if base.split.is_empty else held
+    return fitted, {} if split.is_empty else held
 
 
 Part = Mapping[str, Mapping[str, float]]

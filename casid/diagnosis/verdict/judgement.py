@@ -30,6 +30,7 @@ from casid.diagnosis.verdict.gain import (
 )
 from casid.diagnosis.verdict.held_out_failures import (
     failing_where_held_out,
+    other_clocks,
     unlike_where_held_out,
 )
 from casid.diagnosis.verdict.not_accepted import with_refusal_reasons
@@ -204,9 +205,10 @@ def _beside(found: Findings, remainder: Remainder | None) -> Weighted:
 
 def _is_predicted(found: Findings, at: Weighted) -> bool:
     """True if a model under a disturbance is seen to predict what was held out as it should."""
-    if at.unbiased is None or found.baseline.split.is_empty:
+    split = found.baseline.split
+    if at.unbiased is None or split.judging(at.unbiased.criterion.model).is_empty:
         return False
-    far = partial(unlike_under_disturbance, at, found.baseline.split)
+    far = partial(unlike_under_disturbance, at, split)
     return found.search.attempts.attempt("the comparison with what was held out", far) == ""
 
 
@@ -241,8 +243,9 @@ def _remaining(
     part = fitted if is_random or not held.get("extended_rmse") else held
     chance: dict[str, float] = {}
     if part is held:
-        split, floor = found.baseline.split, part["noise_floor"]
-        of = partial(chance_over_floor, found.best_fit, estimate.covariance, found.at, split, floor)
+        fit, floor = found.best_fit, part["noise_floor"]
+        split = found.baseline.split.judging(fit.criterion.model)
+        of = partial(chance_over_floor, fit, estimate.covariance, found.at, split, floor)
         attempt = found.search.attempts.attempt
         chance = attempt("what chance gives to the held-out error", of) or {}
     return what_remains(
@@ -450,6 +453,7 @@ def notes_on(
         if by_chance and not judged.why_undecided:
             notes += (f"the fit holds {' and '.join(by_chance)}, by no more than chance",)
         notes += unknown_sizes(judged.causes, reported)
+        notes += other_clocks(found)
     if negated is not None and negated.reference:
         notes.append(
             f"the sign of {negated.channel} was determined with instruments from "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -51,7 +50,6 @@ def fit_initial_state(
     *,
     weights: Array | None = None,
     substeps: int = 1,
-    on_clock: bool = False,
     near: Mapping[str, float] | None = None,
 ) -> tuple[SimulationError, Array]:
     """The criterion of one record, and its minimum (n,) over the initial state alone.
@@ -59,8 +57,6 @@ def fit_initial_state(
     Parameters
     ----------
     model : every parameter known, there or in the experiment.
-    on_clock : whether the record has the clock of the records fitted. A step at an instant of one
-        record says nothing of another: there it has not happened.
     near : a state of each name that the search may begin at, where that fits better than what was
         measured first: a state that nobody measures has to fit the others.
     """
@@ -75,10 +71,6 @@ def fit_initial_state(
     short = fit_of_short_horizons(criterion)
     if short is not None:
         criterion = begun_at(criterion, short.values)
-    if not on_clock:
-        d = criterion.data[0]
-        of_clock = [entry.signal is not None for entry in model.inputs.values()]
-        criterion.data[0] = replace(d, u=np.where(of_clock, 0.0, d.u))
     point = criterion.start
     if len(point):
         point = minimize_simulation_error(criterion, solver=_NEAR, check_rank=False, retry="none").x

@@ -12,7 +12,7 @@ that is where samples were recorded: the most probable levels, were both normal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -61,7 +61,7 @@ def with_levels_in_gaps(fit: Fit, split: Split, *, by_outputs: bool = True) -> t
     if not count:
         return split, 0
     fitted = [begun_as(f, e) for f, e in zip(split.fitted, whole, strict=True)]
-    return Split(fitted, whole, split.held, apart), count
+    return replace(split, fitted=fitted, whole=whole, apart=apart), count
 
 
 def _filled(

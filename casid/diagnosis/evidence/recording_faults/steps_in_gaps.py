@@ -90,7 +90,7 @@ def with_steps_in_gaps(fit: Fit, split: Split) -> tuple[Split, int]:
     if not moved:
         return split, 0
     fitted = [begun_as(f, e) for f, e in zip(split.fitted, whole, strict=True)]
-    return Split(fitted, whole, split.held, apart), moved
+    return replace(split, fitted=fitted, whole=whole, apart=apart), moved
 
 
 def _filled(

@@ -71,7 +71,7 @@ def records_in_windows(
     cut = partial(windowed_records, samples=windows.samples)
     at = "the values of a fit in short windows" if windows.values else "the start values"
     return RecordsInWindows(
-        Split(cut(split.fitted), cut(split.whole), split.held, cut(split.apart)),
+        replace(split, fitted=cut(split.fitted), whole=cut(split.whole), apart=cut(split.apart)),
         f"the model is unstable: at {at} a small error grows e-fold in {apart}, so a "
         f"simulation of a whole record diverges. Each window of {seconds} is simulated from an "
         "initial state of its own; errors and what is held out are those of such simulations",

@@ -41,7 +41,6 @@ from casid.diagnosis.search.comparison.alternatives import TANGENTS, is_imitator
 from casid.diagnosis.search.comparison.contributions import contributions_of
 from casid.diagnosis.search.comparison.simulation_errors import (
     SimulationErrors,
-    counted_by_all,
     fitted_error,
     on_common_samples,
     simulation_errors,
@@ -53,7 +52,7 @@ from casid.diagnosis.search.refusals import SUPERFLUOUS, Refusal
 from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, JUMPS, ROUNDS
-from casid.estimation.holdout import Split, why_worse
+from casid.estimation.holdout import Split, counted_by_all, why_worse
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 from casid.model.model import Model

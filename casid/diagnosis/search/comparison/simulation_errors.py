@@ -21,12 +21,14 @@ from casid.errors import SolveError
 from casid.estimation.holdout import (
     Split,
     begun_apart,
+    counted_by_all,
     degrees_of_freedom,
     end_in_windows,
     error_per_window,
     has_windows,
     held_out_error,
     in_windows,
+    no_error,
     whole_simulation,
     why_no_better,
     why_worse,
@@ -45,7 +47,8 @@ class SimulationErrors:
     Attributes
     ----------
     fitted : of the part that was fitted.
-    continued : of what was held out, the simulation running on; records of their own among it.
+    continued : of what was held out, the simulation running on; records of their own among it, NaN
+        in one that does not judge the model (`Split.judges`).
     restarted : of the held-out ends, each from an initial state of its own; empty where whole
         records were held out, which are simulated so anyway.
     """
@@ -77,12 +80,6 @@ def on_common_samples(*errors: SimulationErrors) -> list[SimulationErrors]:
     return [SimulationErrors(*parts) for parts in zip(fitted, continued, restarted, strict=True)]
 
 
-def counted_by_all(*errors: Array) -> list[Array]:
-    """Errors (M, ny) of several models, NaN wherever those of one are."""
-    counts = np.all([~np.isnan(e) for e in errors], axis=0)
-    return [np.where(counts, e, np.nan) for e in errors]
-
-
 def simulation_errors(
     fit: Fit, split: Split, units: Array, noise: NoiseModel | None = None
 ) -> SimulationErrors:
@@ -105,6 +102,9 @@ def simulation_errors(
     inside = [error[~held] for error, held in zip(whole, split.held, strict=True)]
     ends = [error[held] for error, held in zip(whole, split.held, strict=True)]
     for experiment in split.apart:
+        if not split.judges(fit.criterion.model, experiment):
+            ends.append(no_error(fit, experiment))
+            continue
         apart, x = begun_apart(fit, experiment)
         its = along_record(noise, apart, x) if noise is not None else None
         ends.append(_errors(apart.data[0], apart.simulate(x, 0)[0], units, its, 0))
@@ -136,8 +136,11 @@ def _errors_in_windows(fit: Fit, split: Split, units: Array, noise: NoiseModel) 
     for whole, held in zip(split.whole, split.held, strict=True):
         if held.any():
             ends.append(end_in_windows(fit, whole, int(np.argmax(held))))
-    ends += [in_windows(fit, e, on_clock=False) for e in split.apart]
     outside = [error_per_window(fit, _whitened_end(*end, noise)) for end in ends]
+    for e in split.apart:
+        judges = split.judges(fit.criterion.model, e)
+        its = _whitened_end(*in_windows(fit, e), noise) if judges else no_error(fit, e)
+        outside.append(error_per_window(fit, its))
     none = np.zeros((0, len(units)))
     held = np.concatenate(outside) if outside else none
     return SimulationErrors(np.concatenate(inside), held, none)
@@ -215,8 +218,9 @@ def is_as_good_held_out(before: SimulationErrors, after: SimulationErrors) -> bo
 
     Whitened by a disturbance, what was held out may be too short to tell: see `why_not_adopted`.
     """
-    falls = float(np.nanmean(before.fitted**2) - np.nanmean(after.fitted**2))
-    rises = float(np.nanmean(after.continued**2) - np.nanmean(before.continued**2))
+    before, after = on_common_samples(before, after)
+    falls = _mean_square(before.fitted) - _mean_square(after.fitted)
+    rises = _mean_square(after.continued) - _mean_square(before.continued)
     return rises < ROUNDS.overfit * falls
 
 
@@ -289,12 +293,18 @@ def is_all_but_predicted(before: SimulationErrors, after: SimulationErrors) -> b
 
 def _held_out_ways(before: SimulationErrors, after: SimulationErrors) -> list[tuple[Array, Array]]:
     """Errors of what was held out, of runs that continue and of those that begin there."""
+    before, after = on_common_samples(before, after)
     ways = [(before.continued, after.continued), (before.restarted, after.restarted)]
-    return [(old, new) for old, new in ways if len(old)]
+    return [(old, new) for old, new in ways if not np.all(np.isnan(old))]
 
 
 def _square(e: Array) -> float:
     return float(np.nansum(e**2))
+
+
+def _mean_square(e: Array) -> float:
+    """Of the samples that count; zero where none does."""
+    return _square(e) / max(int(np.sum(~np.isnan(e))), 1)
 
 
 def _is_far_less(new: Array, old: Array) -> bool:
@@ -317,7 +327,7 @@ def why_much_worse(before: Fit, after: Fit, split: Split) -> Refusal:
     units = before.criterion.weights
     fitted = [fitted_error(f, split, units) for f in (before, after)]
     counts = ~np.isnan(fitted[0]) & ~np.isnan(fitted[1])
-    held_out = [_held_out(f, split, units) for f in (before, after)]
+    held_out = counted_by_all(*(_held_out(f, split, units) for f in (before, after)))
     most = growth_by_disturbance(fitted[0], after)
     if _grows([e[counts] for e in fitted], most):
         return Refusal("it makes the fitted error much worse", "fitted")
@@ -356,6 +366,7 @@ def why_held_out(
     ----------
     tolerance : by which the square of a sample's error may rise and count as the same.
     """
+    before, after = on_common_samples(before, after)
     ways = [
         (before.continued, after.continued, ""),
         (before.restarted, after.restarted, " from an initial state of its own"),

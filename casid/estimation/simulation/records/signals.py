@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -180,6 +180,19 @@ def input_columns(model: Model, record: Record) -> Array:
             continue
         columns.append(filled(record, name, entry.hold))
     return np.column_stack(columns) if columns else np.zeros((record.N, 0))
+
+
+def off_the_clock(model: Model) -> Model:
+    """The model in a record of another clock: what has an instant on the one is zero there."""
+    new = model.copy()
+    for name in clock_inputs(model):
+        new.inputs[name] = replace(new.inputs[name], signal=None)
+    return new
+
+
+def clock_inputs(model: Model) -> list[str]:
+    """The inputs that are functions of the clock of a record."""
+    return [name for name, entry in model.inputs.items() if entry.signal is not None]
 
 
 def require_sizes(record: Record, names: Iterable[str]) -> None:
