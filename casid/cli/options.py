@@ -221,5 +221,6 @@ def hold_out_option(default: str) -> Callable[[Callable[..., None]], Callable[..
         metavar="FILE|SHARE",
         help="Not fitted: this share at the end of every record (0: fit everything), or a file. "
         "A file is simulated on its own and may carry a load case and a window; --window does not "
-        f"apply to it. Default {default}.",
+        "apply to it. A change at an instant acts in another window of the file that is fitted; a "
+        f"file on another clock neither confirms nor refutes it. Default {default}.",
     )

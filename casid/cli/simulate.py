@@ -61,6 +61,12 @@ if TYPE_CHECKING:
     help="Duration of the simulation of a model without inputs; default that of the fitted record, "
     "or of the example.",
 )
+@click.option(
+    "--on-clock",
+    is_flag=True,
+    help="INPUTS are on the clock of the fitted record: what the fit found to set in at an instant "
+    "of it acts at that time. Without it that acts in windows of the file that was fitted alone.",
+)
 @options(*FORMAT_OPTIONS)
 @click.option("--force", is_flag=True, help="Write over a file that exists.")
 def simulate(
@@ -69,6 +75,7 @@ def simulate(
     out: Path,
     x0: tuple[str, ...],
     duration: float | None,
+    on_clock: bool,
     force: bool,
     **given: Any,
 ) -> None:
@@ -88,10 +95,10 @@ def simulate(
     request = Request(data=(inputs,) if inputs else (), reading=reading, **given)
     if duration is not None and inputs:
         raise DataError("--duration is for a model without inputs; cut a file with --window")
-    is_problem = Path(model).suffix == ".py"
-    fitted, record = (_of_problem if is_problem else _of_result)(
-        model, request, x0=x0, duration=duration
-    )
+    if Path(model).suffix == ".py":
+        fitted, record = _of_problem(model, request, x0=x0, duration=duration)
+    else:
+        fitted, record = _of_result(model, request, x0=x0, duration=duration, on_clock=on_clock)
     from casid.data.reading.columns import ColumnSpec
     from casid.data.record_files import write_record
 
@@ -112,7 +119,7 @@ def _is_shown(record: Record, name: str) -> bool:
 
 
 def _of_result(
-    path: str, request: Request, *, x0: tuple[str, ...], duration: float | None
+    path: str, request: Request, *, x0: tuple[str, ...], duration: float | None, on_clock: bool
 ) -> tuple[FittedModel, Record]:
     """A fitted model, and its simulation with a file or, without inputs, over a time."""
     from casid.cli.result_file import fitted_model
@@ -125,8 +132,12 @@ def _of_result(
     if not request.data:
         record = clock(fitted, duration)
         return fitted, fitted.simulate(record, start, known=known, on_clock=True)
-    experiments, _ = request.experiments(inputs_alone(problem))
-    return fitted, fitted.simulate(experiments[0], start, known=known)
+    experiment = request.experiments(inputs_alone(problem))[0][0]
+    silent = "" if on_clock else fitted.silent_causes(experiment, remedy="--on-clock")
+    if silent:
+        say(f"note: {silent}")
+    acts = on_clock or not silent
+    return fitted, fitted.simulate(experiment, start, known=known, on_clock=acts)
 
 
 def _of_problem(

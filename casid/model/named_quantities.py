@@ -112,7 +112,7 @@ class NamedQuantities:
 
         `signal` is called with the times (N,) [s] and returns the samples (N,), SI units. What
         depends on the clock of one record says nothing of another: in a record that is held out
-        as a whole the signal is zero.
+        as a whole, and is no window of a fitted record or its file, the signal is zero.
         """
         self.inputs[name] = Input(name, unit, "generated", hold, signal)
         return self._declare(name)

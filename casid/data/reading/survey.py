@@ -140,11 +140,8 @@ def survey(
         return found
     part = f"@{window_text(*window)}" if window is not None else ""
     label = options.name or f"{_stem(source)}{part}"
-    record = _record(channels, found, options, label, steps, clock)
-    if record is not None and digest:
-        time = found.clock or f"Ts = {opened.table.form.Ts:g} s"
-        record = replace(record, clock=f"{time} {opened.table.form.table or ''} in {digest}")
-    found.record = record
+    found.record = _record(channels, found, options, label, steps, clock)
+    _name_clock(opened, found, digest)
     return found
 
 
@@ -186,6 +183,14 @@ def _opened(
         kind = "unit" if isinstance(error, UnitError) else "file"
         found.with_fault(Fault(kind, str(error), ""))
         return None
+
+
+def _name_clock(opened: _Opened, found: Survey, digest: str) -> None:
+    """Name the clock by the bytes of the file: its windows have it in common."""
+    if found.record is not None and digest:
+        form, column = opened.table.form, found.clock
+        clock = " ".join(filter(None, (column or f"every {form.Ts} s", form.table, digest)))
+        found.record = replace(found.record, clock=clock)
 
 
 def _compare_units(opened: _Opened, found: Survey) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -30,6 +31,7 @@ class Driving:
     t : (N,) s, on the record's clock. u : (N, nu) in the model's order, SI.
     known : parameter -> value known for this record, SI.
     record : None for arrays alone. fitted : the fitted record that it begins as.
+    is_on_clock : whether it is on the clock of a fitted record, as another window of its file is.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Driving:
     known: Mapping[str, float] = field(default_factory=dict)
     record: Record | None = None
     fitted: FittedRecord | None = None
+    is_on_clock: bool = False
 
     @property
     def t0(self) -> float:
@@ -79,6 +82,7 @@ def driving_of(
                 "out, or resample the record"
             )
         known_again = [f for f in fitted if f.is_start_of(model, record)]
+        is_on_clock = bool(known_again) or any(f.clock == record.clock for f in fitted)
         return Driving(
             inputs.name,
             record.t,
@@ -87,8 +91,15 @@ def driving_of(
             model.in_si(inputs.known),
             record,
             known_again[0] if known_again else None,
+            is_on_clock,
         )
     return _of_arrays(model, inputs, fitted[0].Ts if Ts is None else float(Ts))
+
+
+def warn_of(*texts: str) -> None:
+    """Warn whoever called the caller of what a simulation leaves out; of no empty text."""
+    for text in filter(None, texts):
+        warnings.warn(text, UserWarning, stacklevel=3)
 
 
 def _record_of(frame: Any, model: Model, channels: Channels, *, needs_outputs: bool) -> Record:

@@ -13,7 +13,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError, nearest
-from casid.estimation.fitted.driving import Driving, driving_of
+from casid.estimation.fitted.driving import Driving, driving_of, warn_of
 from casid.estimation.fitted.equations import ModelEquations, equations_of
 from casid.estimation.fitted.innovations_form import predicted
 from casid.estimation.fitted.model_comparison import ModelComparison, compared
@@ -26,6 +26,7 @@ from casid.estimation.fitted.parts import (
 )
 from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.known_simulation import KnownSimulation
+from casid.estimation.simulation.records.signals import clock_inputs, off_the_clock
 from casid.exportable import Exportable
 from casid.model.model import Model
 from casid.presentation import Viewed
@@ -140,7 +141,8 @@ class FittedModel(Saved, Exportable, Viewed):
             record. A record has its own.
         known : parameter -> value in its unit for this simulation, over those of the fit.
         on_clock : whether jumps, drifts and periodic terms act, which the fit found on the clock of
-            its records. Default: in those records alone.
+            its records. Default: in those records, and other windows of them or of their files;
+            where they do not act a warning says so.
 
         Returns
         -------
@@ -158,6 +160,7 @@ class FittedModel(Saved, Exportable, Viewed):
             If the simulation diverges: at which time.
         """
         given = self._driving(inputs, Ts, needs_outputs=False)
+        warn_of(self.silent_causes(given) if on_clock is None else "")
         return self._simulated(given, self._start_in_si(x0), self._known_in_si(known), on_clock)
 
     def predict(
@@ -166,6 +169,7 @@ class FittedModel(Saved, Exportable, Viewed):
         horizon: int | None = 1,
         *,
         known: Mapping[str, float] | None = None,
+        on_clock: bool | None = None,
     ) -> Record:
         """Outputs predicted `horizon` samples ahead, from the inputs and the outputs before.
 
@@ -179,6 +183,7 @@ class FittedModel(Saved, Exportable, Viewed):
         horizon : samples between the last output used and the one predicted, 1 or more; None
             simulates.
         known : parameter -> value in its unit for this record, over those of the fit.
+        on_clock : as in `simulate`.
 
         Returns
         -------
@@ -199,16 +204,18 @@ class FittedModel(Saved, Exportable, Viewed):
         given, known = self._driving(record, None), self._known_in_si(known)
         if given.record is None:
             raise DataError(f"{self.name}: a prediction needs measured outputs; give a record")
+        acts = given.is_on_clock if on_clock is None else on_clock
         if self.noise is None or horizon is None:
-            simulated = self._simulated(given, self._start(given, known), known, None)
+            simulated = self._simulated(given, self._start(given, known, acts), known, acts)
             y = np.column_stack([simulated[name] for name in self.model.outputs])
         else:
-            values, _ = self._values(given, known)
+            values = self._values(given, known)
             start = None if given.fitted is None else given.fitted.nodes[0]
             experiment = Experiment(given.record, {}, given.name)
             substeps = self._substeps(given.Ts)
+            model = self.model if acts else off_the_clock(self.model)
             y = predicted(
-                self.model.with_si_values(values),
+                model.with_si_values(values),
                 self.noise,
                 experiment,
                 start,
@@ -225,6 +232,7 @@ class FittedModel(Saved, Exportable, Viewed):
         horizon: int | None = None,
         *,
         known: Mapping[str, float] | None = None,
+        on_clock: bool | None = None,
     ) -> Record:
         """Measured minus simulated outputs, or minus those predicted `horizon` samples ahead.
 
@@ -242,7 +250,7 @@ class FittedModel(Saved, Exportable, Viewed):
         given = self._driving(record, None)
         if given.record is None:
             raise DataError(f"{self.name}: residuals need measured outputs; give a record")
-        expected = self.predict(record, horizon, known=known)
+        expected = self.predict(record, horizon, known=known, on_clock=on_clock)
         names = list(self.model.outputs)
         errors = {name: given.record[name] - expected[name] for name in names}
         units = {name: unit for name, (_, unit) in self.model.outputs.items()}
@@ -254,6 +262,7 @@ class FittedModel(Saved, Exportable, Viewed):
         record: Record | Experiment | pd.DataFrame,
         *others: FittedModel | HasModel,
         horizon: int | None = None,
+        on_clock: bool | None = None,
     ) -> ModelComparison:
         """This model and others against one record, as MATLAB's `compare`.
 
@@ -264,6 +273,7 @@ class FittedModel(Saved, Exportable, Viewed):
         others : fitted models, estimates or diagnoses; default the model before, where there is
             one.
         horizon : samples ahead of which is predicted; default free simulation.
+        on_clock : as in `simulate`; what does not act is in the `notes`, too.
 
         Returns
         -------
@@ -295,15 +305,20 @@ class FittedModel(Saved, Exportable, Viewed):
             models.append(self.baseline)
         experiment = Experiment(given.record, dict(self.model.in_declared_units(given.known)))
         expected: dict[str, Record] = {}
+        silent: dict[str, None] = {}
         for model in models:
+            if on_clock is None:
+                silent[model.silent_causes(model._driving(given.record, None))] = None
             added = " + ".join(c.kind for c in model.causes)
             label = f"{model.name} + {added}" if added else model.name
             number = sum(name.partition("#")[0] == label for name in expected) + 1
             label = label if number == 1 else f"{label}#{number}"
-            expected[label] = model.predict(experiment, horizon)
+            expected[label] = model.predict(experiment, horizon, on_clock=on_clock)
+        notes = tuple(filter(None, silent))
+        warn_of(*notes)
         units = {name: unit for name, (_, unit) in self.model.outputs.items()}
         declared = [self.model.unit_of(name) for name in units]
-        return compared(given.record, expected, units, horizon, declared)
+        return compared(given.record, expected, units, horizon, declared, notes)
 
     def equations(self) -> ModelEquations:
         """The equations: `print` shows text, `latex()` gives LaTeX, new terms marked in both."""
@@ -329,6 +344,19 @@ class FittedModel(Saved, Exportable, Viewed):
         kept = [name in new.states for name in self.model.states]
         records = tuple(replace(r, nodes=r.nodes[:, kept]) for r in self.records)
         return replace(self, model=new, records=records, noise=None)
+
+    def silent_causes(self, inputs: Inputs | Driving, remedy: str = "on_clock=True") -> str:
+        """What was found on the clock of the fitted records and does not act here, or nothing."""
+        given = inputs if isinstance(inputs, Driving) else self._driving(inputs, None)
+        names = clock_inputs(self.model)
+        if given.is_on_clock or not names:
+            return ""
+        names = [c.words_in_time for c in self.causes if c.is_on_the_clock] or names
+        return (
+            f"{' and '.join(dict.fromkeys(names))}: belongs to the clock of "
+            f"{' and '.join(r.name for r in self.records)}, and does not act in {given.name}, "
+            f"which is not known to be on that clock; {remedy} makes it act at its time there"
+        )
 
     # -- inside ------------------------------------------------------------------------------
 
@@ -362,10 +390,8 @@ class FittedModel(Saved, Exportable, Viewed):
         named = dict(zip(self.model.states, start.tolist(), strict=True))
         return np.array(list(self.model.in_si(named).values()))
 
-    def _values(
-        self, given: Driving, known: Mapping[str, float] | None
-    ) -> tuple[dict[str, float], bool]:
-        """Value of every parameter in a record, and whether it was fitted."""
+    def _values(self, given: Driving, known: Mapping[str, float] | None) -> dict[str, float]:
+        """Value of every parameter in a record."""
         for name in {**given.known, **(known or {})}:
             if name not in self.model.parameters:
                 raise ModelError(
@@ -374,22 +400,23 @@ class FittedModel(Saved, Exportable, Viewed):
                 )
         own = given.fitted.known if given.fitted is not None else {}
         values = {**self.si_values, **own, **given.known, **(known or {})}
-        return {n: float(v) for n, v in values.items()}, given.fitted is not None
+        return {n: float(v) for n, v in values.items()}
 
     def _substeps(self, Ts: float) -> int:
         """Runge-Kutta steps a sample: at least as many a second as the fit had."""
         return max(1, int(np.ceil(self.settings.substeps * Ts / self.Ts - 1e-6)))
 
-    def _start(self, given: Driving, known: Mapping[str, float] | None) -> Array | None:
+    def _start(self, given: Driving, known: Mapping[str, float] | None, acts: bool) -> Array | None:
         """The initial state (nx,) that simulates a record best; None where it was fitted."""
         if given.fitted is not None:
             return None
         assert given.record is not None
-        values, _ = self._values(given, known)
+        values = self._values(given, known)
         experiment = Experiment(given.record, {}, given.name)
         weights = self.settings.weights if self.settings.weights.size else None
+        model = self._driven if acts else off_the_clock(self._driven)
         criterion, point = fit_initial_state(
-            self._driven.with_si_values(values),
+            model.with_si_values(values),
             experiment,
             weights=weights,
             substeps=self._substeps(given.Ts),
@@ -429,13 +456,11 @@ class FittedModel(Saved, Exportable, Viewed):
         on_clock: bool | None,
     ) -> Record:
         model = self._driven
-        values, is_fitted = self._values(given, known)
+        values = self._values(given, known)
         u = given.u
-        if not (is_fitted if on_clock is None else on_clock):
-            u = u.copy()
-            for i, entry in enumerate(model.inputs.values()):
-                if entry.signal is not None:
-                    u[:, i] = 0.0
+        if not (given.is_on_clock if on_clock is None else on_clock):
+            of_clock = [entry.signal is not None for entry in model.inputs.values()]
+            u = np.where(of_clock, 0.0, u)
         nodes, cuts = self._nodes(given, x0)
         simulation = KnownSimulation(model, given.Ts, self._substeps(given.Ts))
         y, x = simulation.run(u, values, nodes, cuts)

@@ -106,8 +106,11 @@ def _record(criterion: SimulationError, x: Array, e: int) -> FittedRecord:
     known = dict(d.known)
     known |= {name: criterion.value_of(name, x, e) for name in criterion.own}
     nodes = [criterion.parameter_vector(x, e, i)[1] for i in range(criterion.parts(e))]
-    known_by = fingerprint(criterion.model, criterion.experiments[e].record)
-    return FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, known, np.array(nodes), known_by)
+    record = criterion.experiments[e].record
+    known_by = fingerprint(criterion.model, record)
+    return FittedRecord(
+        d.name, d.Ts, float(d.t[0]), d.N, known, np.array(nodes), known_by, record.clock
+    )
 
 
 def channels_of(problem: Problem) -> Channels:

@@ -48,8 +48,11 @@ def predicting_model(
     for e, d in enumerate(criterion.data):
         own = {n: values[e][n] for n in values[e] if values[e][n] != values[0][n] or n in d.known}
         nodes = criterion.initial_state(x, e)[None, :]
-        known_by = fingerprint(criterion.places.driven, criterion.experiments[e].record)
-        records.append(FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, own, nodes, known_by))
+        record = criterion.experiments[e].record
+        known_by = fingerprint(criterion.places.driven, record)
+        records.append(
+            FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, own, nodes, known_by, record.clock)
+        )
     spread = np.std(np.concatenate([d.y for d in criterion.data]), axis=0)
     return FittedModel(
         name=model.name,

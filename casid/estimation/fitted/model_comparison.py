@@ -32,6 +32,7 @@ class ModelComparison(Presented):
     fit : model -> output -> 100 (1 - |y - yhat| / |y - mean y|) per cent.
     rmse : model -> output -> RMS error, SI.
     declared : the units that text and figures show; `units` by default.
+    notes : what the models hold that does not act in this record.
     """
 
     record: str
@@ -44,6 +45,7 @@ class ModelComparison(Presented):
     fit: Mapping[str, Mapping[str, float]]
     rmse: Mapping[str, Mapping[str, float]]
     declared: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def how(self) -> str:
@@ -65,6 +67,7 @@ class ModelComparison(Presented):
             "horizon": self.horizon,
             "fit_percent": {name: dict(row) for name, row in self.fit.items()},
             "rmse": {name: dict(row) for name, row in self.rmse.items()},
+            "notes": list(self.notes),
         }
 
     def __repr__(self) -> str:
@@ -82,6 +85,7 @@ def compared(
     units: Mapping[str, str],
     horizon: int | None,
     declared: Sequence[str] = (),
+    notes: tuple[str, ...] = (),
 ) -> ModelComparison:
     """The comparison of what models expect with what was measured.
 
@@ -90,6 +94,7 @@ def compared(
     expected : model -> its outputs over the record.
     units : output -> SI unit.
     declared : units of the outputs that are shown.
+    notes : `ModelComparison.notes`.
     """
     outputs = tuple(units)
     measured = np.column_stack([np.where(record.is_missing(n), np.nan, record[n]) for n in outputs])
@@ -111,4 +116,5 @@ def compared(
         fit={m: by_output(nrmse_fit(measured, measured - y)) for m, y in arrays.items()},
         rmse={m: by_output(rms(measured - y)) for m, y in arrays.items()},
         declared=tuple(declared),
+        notes=notes,
     )

@@ -12,6 +12,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.reading.file_format import FileFormat
 from casid.data.record import Record
+from casid.model.effects.effect import ON_THE_CLOCK
 from casid.model.effects.names import effect_words
 from casid.model.model import Model
 
@@ -34,6 +35,7 @@ class FittedRecord:
     nodes : (segments, nx) states where each shooting segment starts; the first is the initial
         state. One segment but for multiple shooting.
     fingerprint : of its inputs and of its outputs, by which the record is known again.
+    clock : that of the record, which other windows of its file have too (`Record.clock`).
     """
 
     name: str
@@ -43,6 +45,7 @@ class FittedRecord:
     known: Mapping[str, float]
     nodes: Array
     fingerprint: tuple[str, str] = ("", "")
+    clock: str = ""
 
     @property
     def cuts(self) -> Array:
@@ -102,6 +105,17 @@ class AddedCause:
     def words(self) -> str:
         """The cause and its place, as an engineer says it."""
         return effect_words(self.kind, self.where, description=self.description)
+
+    @property
+    def is_on_the_clock(self) -> bool:
+        """True of what has an instant, a span or a phase on the clock of the fitted record."""
+        return self.kind in ON_THE_CLOCK or bool({"time", "start"} & set(self.constants))
+
+    @property
+    def words_in_time(self) -> str:
+        """The cause and its place, and the instant at which it sets in, where it has one."""
+        time = self.constants.get("time")
+        return self.words if time is None else f"{self.words} from t = {time:.6g} s on"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from casid.identification.grey_box import Prediction
 from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.model.quantities import count_text, p_statement
 from casid.model.units import difference_from_si
-from casid.report.document import Document, Labelled, Table
+from casid.report.document import Document, Labelled, Table, labelled
 from casid.report.numbers import interval_lines, interval_text, is_half_open
 from casid.report.texts.moments import black_box_document, convergence_document
 from casid.report.verdicts import judged_estimate, judged_study, status_words
@@ -256,4 +256,5 @@ def model_comparison_document(found: ModelComparison) -> Document:
             cells += [f"{found.fit[model][output]:.2f}", f"{error:.4g}"]
         rows.append(cells)
     table = Table(head, rows, numbers=range(1, len(head)))
-    return Document(f"Fit to {found.record}, {found.how}", [table])
+    notes = labelled("note", found.notes)
+    return Document(f"Fit to {found.record}, {found.how}", [table, *([notes] if notes else [])])

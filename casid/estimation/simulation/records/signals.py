@@ -184,8 +184,9 @@ def input_columns(model: Model, record: Record) -> Array:
 
 def off_the_clock(model: Model) -> Model:
     """The model in a record of another clock: what has an instant on the one is zero there."""
-    new = model.copy()
-    for name in clock_inputs(model):
+    names = clock_inputs(model)
+    new = model.copy() if names else model
+    for name in names:
         new.inputs[name] = replace(new.inputs[name], signal=None)
     return new
 
