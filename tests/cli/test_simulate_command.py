@@ -183,3 +183,41 @@ def test_how_the_files_are_written_stays_with_the_model(tmp_path: Path) -> None:
     assert len(table(tmp_path / "out.csv")) == 48
     written = casid.load(saved).model.to_problem_file(tmp_path / "again.py")
     assert casid.load_problem(written).form == problem.form
+
+
+def test_a_jump_acts_in_windows_of_the_fitted_file_and_elsewhere_only_on_request(tmp_path: Path):
+    """A tank that drains twice as fast from 10 s on; levels of the exact solution, no noise."""
+    t = 0.1 * np.arange(300)
+    level = np.where(t < 10.0, np.exp(-0.05 * t), np.exp(-0.5 - 0.1 * (t - 10.0)))
+    frame = pd.DataFrame({"t": t, "pump": 0.0 * t, "level": level})
+    run_file, other = tmp_path / "run.csv", tmp_path / "other.csv"
+    frame.to_csv(run_file, index=False)
+    frame[200:].to_csv(other, index=False)
+    m = casid.Model("tank")
+    pump, h = m.input("pump", "m/s", hold="zoh"), m.state("h", "m", start=1.0)
+    rate, more = (m.parameter(n, "1/s", start=0.03, lower=0.0) for n in ("rate", "more"))
+    s = m.generated_input("s", "1", casid.StepAt(10.0, is_held=True), hold="zoh")
+    m.derivative(h, pump - (rate + more * s) * h)
+    m.output("level", h, "m")
+    problem = casid.Problem("tank", m, starts=1)
+    fitted = casid.identify(problem, problem.read(f"{run_file}@0:19.9")).model
+    saved, out = fitted.save(tmp_path / "tank.casid"), tmp_path / "out.csv"
+
+    def drained(*arguments: str | Path) -> tuple[float, str]:
+        """By how much of itself the level falls in a second, and what the command says."""
+        result = run(saved, *arguments, "--out", out, "--force", "--x0", "h=0.2")
+        assert result.exit_code == 0, result.output
+        found = table(out)["level"]
+        return float(np.log(found[0] / found[10])), result.output
+
+    rate_there, said = drained(f"{run_file}@20:29.9")
+    assert rate_there == pytest.approx(0.1, rel=1e-3)
+    assert "note" not in said
+    rate_there, said = drained(other)
+    assert rate_there == pytest.approx(0.05, rel=1e-3)
+    note = "note: s: belongs to the clock of run@0:19.9, and does not act in other, which is not"
+    assert note in said
+    assert "--on-clock makes it act" in said
+    rate_there, said = drained(other, "--on-clock")
+    assert rate_there == pytest.approx(0.1, rel=1e-3)
+    assert "note" not in said

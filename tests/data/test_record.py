@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from casid.data.experiment import Experiment
 from casid.data.missing_samples import some_missing
+from casid.data.reading.record_file import read_record
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
 
@@ -217,3 +219,32 @@ def test_one_sample_is_not_said_in_the_plural(marked, said):
     assert made.provenance[-1] == f"{said} of phi marked missing"
     verb = "is" if marked == 1 else "are"
     assert f"%) {verb} missing, in 1 gap, the longest" in some_missing(made, "phi").text
+
+
+def test_all_that_is_made_of_a_record_is_on_its_clock():
+    """Windows, filtered and renamed: a step at an instant of one is one of all."""
+    t = 0.1 * np.arange(400)
+    own = Record({"x": np.sin(t)}, {"x": "m"}, Ts=0.1)
+    made = [
+        own.between(10.0, 20.0).between(12.0, 14.0),
+        own.lowpass(1.0),
+        own.decimate(2),
+        own.detrend(1),
+        own.with_channel("y", t, "m").mark_missing("y", t > 30.0).rename({"y": "z"}).without("x"),
+    ]
+    assert {record.clock for record in made} == {own.clock}
+    assert pickle.loads(pickle.dumps(made[0])).clock == own.clock
+    assert Record({"x": np.cos(t)}, {"x": "m"}, Ts=0.1).clock != own.clock
+    assert Record({"x": np.sin(t)}, {"x": "m"}, Ts=0.1, t0=40.0).clock != own.clock
+
+
+def test_windows_of_a_file_are_on_one_clock_and_another_file_is_on_its_own(tmp_path: Path):
+    rows = [f"{0.1 * k:.1f},{k % 7},{k + 0.5}" for k in range(100)]
+    run, copy, longer = (tmp_path / f"{name}.csv" for name in ("run", "copy", "longer"))
+    for path, last in ((run, 100), (copy, 100), (longer, 99)):
+        path.write_text("\n".join(["t,a,b", *rows[:last]]) + "\n")
+    first = read_record(f"{run}@0:4", {"a": "a"})
+    later = read_record(f"{run}@5:9", {"b": "b"})
+    assert first.clock == later.clock == read_record(copy).clock
+    assert read_record(longer).clock != first.clock
+    assert read_record(run, {"a": "a"}, time="b").clock != first.clock

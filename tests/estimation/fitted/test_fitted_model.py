@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -21,13 +23,20 @@ from tests.support.fitted_models import driven_mass
 TS = 0.02
 
 
-def record(*, seed: int = 3, N: int = 400, k: float = 50.0, name: str = "run") -> casid.Record:
-    """Steps of force on 2 kg, 1.5 N s/m and `k`, stepped by Euler's method at 0.1 ms."""
+def record(
+    *, seed: int = 3, N: int = 400, k: float = 50.0, name: str = "run", later: float | None = None
+) -> casid.Record:
+    """Steps of force on 2 kg, 1.5 N s/m and `k`, stepped by Euler's method at 0.1 ms.
+
+    From 4 s on the stiffness is `later`, where it is given.
+    """
     rng = np.random.default_rng(seed)
     force = np.repeat(rng.normal(0.0, 4.0, N // 25 + 1), 25)[:N]
     x, v, position = 0.05, -0.1, np.empty(N)
     for i in range(N):
         position[i] = x
+        if later is not None and i * TS >= 4.0:
+            k = later
         for _ in range(200):
             v += TS / 200 * (force[i] - k * x - 1.5 * v) / 2.0
             x += TS / 200 * v
@@ -148,6 +157,31 @@ def test_a_jump_acts_on_the_clock_of_the_fitted_record_alone():
     without = model.simulate(apart, known={"jump_k": 0.0}, on_clock=False)
     assert np.array_equal(silent["position"], without["position"])
     assert not np.array_equal(same["position"], without["position"])
+
+
+def test_a_jump_acts_in_another_window_of_the_fitted_record(tmp_path: Path):
+    """A stiffness that is 20 % larger from 4 s on, fitted to 6 s and simulated in the rest."""
+    whole = record(N=800, k=50.0, later=60.0)
+    plain = driven_mass()
+    jump = parameter_jump(plain, "k", 4.0)
+    problem = casid.Problem("oscillator", jump.extend(plain, starts={"jump_k": 5.0}), starts=1)
+    fitted, later = whole.between(0.0, 6.0), whole.between(8.0, 15.9)
+    model = casid.identify(problem, fitted).model
+    left = model.residuals(later)["position"]
+    assert np.std(left) == pytest.approx(1e-3, rel=0.15)
+    compared = model.compare(later)
+    assert not compared.notes
+    elsewhere = casid.Record(later.channels, later.units, later.Ts, later.t0, name="elsewhere")
+    with pytest.warns(UserWarning, match="does not act in elsewhere"):
+        silent = model.compare(elsewhere)
+    name = model.name
+    assert silent.fit[name]["position"] < compared.fit[name]["position"] - 5
+    assert "step at 4 s: belongs to the clock of" in str(silent)
+    acting = model.compare(elsewhere, on_clock=True)
+    assert acting.fit == compared.fit
+    assert not acting.notes
+    again = casid.load(model.save(tmp_path / "model.casid"))
+    assert np.array_equal(again.residuals(later)["position"], left)
 
 
 def test_without_a_noise_model_a_prediction_is_the_simulation(estimate):

@@ -228,3 +228,29 @@ def test_samples_that_a_late_sensor_leaves_out_of_the_fit_count_in_no_error():
     errors = simulation_errors(delayed, split, fit.criterion.weights)
     assert int(np.sum(np.isnan(errors.fitted))) == left_out
     assert not np.isnan(simulation_errors(fit, split, fit.criterion.weights).fitted).any()
+
+
+def test_what_was_held_out_on_another_clock_has_no_say_in_a_change():
+    """The errors of one model count there, and those of the other do not (`Split.judges`)."""
+    nothing = np.full((N, 1), np.nan)
+    none = np.zeros((0, 1))
+    before = SimulationErrors(NOISE[0] + SWING, NOISE[1], none)
+    after = SimulationErrors(NOISE[0], nothing, none)
+    assert not why_not_adopted(before, after)
+    assert not why_not_adopted(after, replace(after, fitted=0.9 * NOISE[0]))
+    assert is_as_good_held_out(before, after)
+    assert not is_predicted(before, after)
+    worse = replace(after, continued=2 * NOISE[1])
+    assert why_not_adopted(before, worse).error == "held-out"
+
+
+def test_an_end_that_both_models_count_judges_beside_a_record_that_one_does_not():
+    nothing = np.full((N, 1), np.nan)
+    none = np.zeros((0, 1))
+    before = SimulationErrors(NOISE[0] + SWING, np.vstack([NOISE[1], 9 * NOISE[2]]), none)
+    better, worse = (
+        SimulationErrors(NOISE[0], np.vstack([size * NOISE[1], nothing]), none)
+        for size in (0.5, 1.2)
+    )
+    assert not why_not_adopted(before, better)
+    assert why_not_adopted(before, worse).error == "held-out"
