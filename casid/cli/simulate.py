@@ -123,6 +123,7 @@ def _of_result(
 ) -> tuple[FittedModel, Record]:
     """A fitted model, and its simulation with a file or, without inputs, over a time."""
     from casid.cli.result_file import fitted_model
+    from casid.estimation.fitted.driving import driving_of, silent_causes
     from casid.estimation.fitted.simulation_inputs import clock, inputs_alone, problem_of
 
     fitted = fitted_model(path).without_noise()
@@ -133,8 +134,9 @@ def _of_result(
         record = clock(fitted, duration)
         return fitted, fitted.simulate(record, start, known=known, on_clock=True)
     experiment = request.experiments(inputs_alone(problem))[0][0]
-    silent = "" if on_clock else fitted.silent_causes(experiment, remedy="--on-clock")
-    if silent:
+    given = driving_of(fitted.model, fitted.records, experiment, None, fitted.channels)
+    silent = silent_causes(fitted.model, fitted.causes, fitted.records, given, "--on-clock")
+    if silent and not on_clock:
         say(f"note: {silent}")
     acts = on_clock or not silent
     return fitted, fitted.simulate(experiment, start, known=known, on_clock=acts)

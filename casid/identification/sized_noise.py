@@ -54,8 +54,10 @@ def with_noise_sizes(
     if not found:
         return split, ()
     n = len(runs)
-    fitted, whole, apart = sized(split.fitted), sized(split.whole), sized(split.apart, n)
-    return replace(split, fitted=fitted, whole=whole, apart=apart), tuple(found)
+    cut = replace(
+        split, fitted=sized(split.fitted), whole=sized(split.whole), apart=sized(split.apart, n)
+    )
+    return cut, tuple(found)
 
 
 def fitted_in_sizes(

@@ -16,8 +16,8 @@ from casid.data.reading.frames import is_frame, open_frame, record_of_frame, tab
 from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import Record
 from casid.errors import DataError
-from casid.estimation.fitted.parts import Channels, FittedRecord
-from casid.estimation.simulation.records.signals import input_columns
+from casid.estimation.fitted.parts import AddedCause, Channels, FittedRecord
+from casid.estimation.simulation.records.signals import clock_inputs, input_columns
 from casid.model.model import Model
 from casid.model.units import to_si
 
@@ -94,6 +94,30 @@ def driving_of(
             is_on_clock,
         )
     return _of_arrays(model, inputs, fitted[0].Ts if Ts is None else float(Ts))
+
+
+def silent_causes(
+    model: Model,
+    causes: Sequence[AddedCause],
+    fitted: Sequence[FittedRecord],
+    given: Driving,
+    remedy: str = "on_clock=True",
+) -> str:
+    """What is on the clock of the fitted records and does not act under these inputs, or nothing.
+
+    Parameters
+    ----------
+    remedy : what makes it act.
+    """
+    names = clock_inputs(model)
+    if given.is_on_clock or not names:
+        return ""
+    names = [c.words_in_time for c in causes if c.is_on_the_clock] or names
+    return (
+        f"{' and '.join(dict.fromkeys(names))}: belongs to the clock of "
+        f"{' and '.join(f.name for f in fitted)}, and does not act in {given.name}, which is not "
+        f"known to be on that clock; {remedy} makes it act at its time there"
+    )
 
 
 def warn_of(*texts: str) -> None:

@@ -13,7 +13,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError, nearest
-from casid.estimation.fitted.driving import Driving, driving_of, warn_of
+from casid.estimation.fitted.driving import Driving, driving_of, silent_causes, warn_of
 from casid.estimation.fitted.equations import ModelEquations, equations_of
 from casid.estimation.fitted.innovations_form import predicted
 from casid.estimation.fitted.model_comparison import ModelComparison, compared
@@ -26,7 +26,7 @@ from casid.estimation.fitted.parts import (
 )
 from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.known_simulation import KnownSimulation
-from casid.estimation.simulation.records.signals import clock_inputs, off_the_clock
+from casid.estimation.simulation.records.signals import off_the_clock
 from casid.exportable import Exportable
 from casid.model.model import Model
 from casid.presentation import Viewed
@@ -160,7 +160,7 @@ class FittedModel(Saved, Exportable, Viewed):
             If the simulation diverges: at which time.
         """
         given = self._driving(inputs, Ts, needs_outputs=False)
-        warn_of(self.silent_causes(given) if on_clock is None else "")
+        warn_of(self._silent(given) if on_clock is None else "")
         return self._simulated(given, self._start_in_si(x0), self._known_in_si(known), on_clock)
 
     def predict(
@@ -308,7 +308,7 @@ class FittedModel(Saved, Exportable, Viewed):
         silent: dict[str, None] = {}
         for model in models:
             if on_clock is None:
-                silent[model.silent_causes(model._driving(given.record, None))] = None
+                silent[model._silent(model._driving(given.record, None))] = None
             added = " + ".join(c.kind for c in model.causes)
             label = f"{model.name} + {added}" if added else model.name
             number = sum(name.partition("#")[0] == label for name in expected) + 1
@@ -345,19 +345,6 @@ class FittedModel(Saved, Exportable, Viewed):
         records = tuple(replace(r, nodes=r.nodes[:, kept]) for r in self.records)
         return replace(self, model=new, records=records, noise=None)
 
-    def silent_causes(self, inputs: Inputs | Driving, remedy: str = "on_clock=True") -> str:
-        """What was found on the clock of the fitted records and does not act here, or nothing."""
-        given = inputs if isinstance(inputs, Driving) else self._driving(inputs, None)
-        names = clock_inputs(self.model)
-        if given.is_on_clock or not names:
-            return ""
-        names = [c.words_in_time for c in self.causes if c.is_on_the_clock] or names
-        return (
-            f"{' and '.join(dict.fromkeys(names))}: belongs to the clock of "
-            f"{' and '.join(r.name for r in self.records)}, and does not act in {given.name}, "
-            f"which is not known to be on that clock; {remedy} makes it act at its time there"
-        )
-
     # -- inside ------------------------------------------------------------------------------
 
     @property
@@ -374,6 +361,9 @@ class FittedModel(Saved, Exportable, Viewed):
     def _driving(self, inputs: Inputs, Ts: float | None, *, needs_outputs: bool = True) -> Driving:
         model, fitted, channels = self._driven, self.records, self.channels
         return driving_of(model, fitted, inputs, Ts, channels, needs_outputs=needs_outputs)
+
+    def _silent(self, given: Driving) -> str:
+        return silent_causes(self.model, self.causes, self.records, given)
 
     def _known_in_si(self, known: Mapping[str, float] | None) -> dict[str, float]:
         return self.model.in_si(known or {})

@@ -256,5 +256,4 @@ def model_comparison_document(found: ModelComparison) -> Document:
             cells += [f"{found.fit[model][output]:.2f}", f"{error:.4g}"]
         rows.append(cells)
     table = Table(head, rows, numbers=range(1, len(head)))
-    parts = [table, *labelled("note", found.notes)]
-    return Document(f"Fit to {found.record}, {found.how}", parts)
+    return Document(f"Fit to {found.record}, {found.how}", [table, *labelled("note", found.notes)])

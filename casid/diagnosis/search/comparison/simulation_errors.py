@@ -137,9 +137,9 @@ def _errors_in_windows(fit: Fit, split: Split, units: Array, noise: NoiseModel) 
         if held.any():
             ends.append(end_in_windows(fit, whole, int(np.argmax(held))))
     outside = [error_per_window(fit, _whitened_end(*end, noise)) for end in ends]
-    for e in split.apart:
-        judges = split.judges(fit.criterion.model, e)
-        its = _whitened_end(*in_windows(fit, e), noise) if judges else no_error(fit, e)
+    for apart in split.apart:
+        judges = split.judges(fit.criterion.model, apart)
+        its = _whitened_end(*in_windows(fit, apart), noise) if judges else no_error(fit, apart)
         outside.append(error_per_window(fit, its))
     none = np.zeros((0, len(units)))
     held = np.concatenate(outside) if outside else none
