@@ -30,8 +30,9 @@ from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError, DataError, OutOfTimeError
+from casid.estimation.noise.joined_sources import joined
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import joined, noise_response
+from casid.estimation.noise.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect

@@ -17,8 +17,9 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
+from casid.estimation.noise.joined_sources import joined
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import Response, joined
+from casid.estimation.noise.noise_response import Response
 from casid.estimation.noise.source_spectra import SourceSpectra, lines_of
 from casid.estimation.noise.whittle_scoring import At, impossible, minimum, of_spectra
 

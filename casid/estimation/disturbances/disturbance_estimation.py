@@ -18,9 +18,10 @@ from casid.estimation.disturbances.common_disturbance import CommonSearch
 from casid.estimation.disturbances.variance_scoring import likelihoods
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.forces import places_of_forces
+from casid.estimation.noise.joined_sources import joined
 from casid.estimation.noise.missing_samples import FILLED_FROM, unbroken
 from casid.estimation.noise.noise_model import NoiseModel
-from casid.estimation.noise.noise_response import Response, joined
+from casid.estimation.noise.noise_response import Response
 from casid.estimation.noise.residual_periodograms import (
     Spectra,
     band_edges,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +12,6 @@ from scipy.fft import rfft
 
 from casid.arrays import Array
 from casid.errors import SolveError
-from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
 from casid.estimation.noise.filled_noise import noise_spectrum
 from casid.estimation.noise.forces import places_of_forces, with_forces
 from casid.estimation.noise.resolving_steps import fewest_steps
@@ -126,27 +125,6 @@ def with_windowed_spectra(found: Response, cross: Array) -> Response:
     phase = np.divide(found.gain, size, out=np.ones_like(found.gain), where=size > 0.0)
     gain = phase * np.sqrt(gain2)
     return replace(found, gain2=gain2, gain=gain, cross=cross)
-
-
-def joined(r: Response, spectra: Mapping[str, DisturbanceSpectrum]) -> Response:
-    """The response with one more source for each force that acts in several balances."""
-    for name, parts in of_several(r.sources, spectra):
-        assert r.gain is not None
-        gain = np.concatenate([r.gain, together(r.gain, r.sources, parts)], axis=2)
-        r = replace(r, sources=(*r.sources, name), gain=gain, gain2=np.abs(gain) ** 2)
-    return r
-
-
-def of_several(
-    sources: Sequence[str], spectra: Mapping[str, DisturbanceSpectrum]
-) -> list[tuple[str, tuple[Part, ...]]]:
-    """The forces that act in several places and are no source yet, and where they act."""
-    return [(n, s.parts) for n, s in spectra.items() if s.parts and n not in sources]
-
-
-def together(gains: Array, sources: Sequence[str], parts: Sequence[Part]) -> Array:
-    """(.., rows, 1) by which one force enters in several places, of gains (.., rows, sources)."""
-    return np.asarray(sum(p.ratio * gains[..., [sources.index(p.place)]] for p in parts))
 
 
 def _entering(means: tuple[Array, ...], enters: Array) -> tuple[Array, Array, Array, Array, Array]:

@@ -25,7 +25,8 @@ from scipy.linalg.lapack import dtbtrs
 
 from casid.arrays import Array, BoolArray
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise.varying_steps import Steps, joined_steps
+from casid.estimation.noise.joined_sources import joined_steps
+from casid.estimation.noise.varying_steps import Steps
 from casid.estimation.simulation.integration.machine_code import MachineCode
 
 INTERPRETED = 6

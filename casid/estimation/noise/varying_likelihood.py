@@ -19,6 +19,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.noise.joined_sources import joined_steps
 from casid.estimation.noise.noise_model import NoiseModel, Variance
 from casid.estimation.noise.source_spectra import SourceSpectra
 from casid.estimation.noise.thresholds import VARYING_RESPONSE
@@ -29,7 +30,7 @@ from casid.estimation.noise.varying_innovations import (
     process_of,
     varying_innovations,
 )
-from casid.estimation.noise.varying_steps import Steps, joined_steps
+from casid.estimation.noise.varying_steps import Steps
 from casid.estimation.noise.whittle_scoring import At, impossible, minimum
 from casid.estimation.simulation.records.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError

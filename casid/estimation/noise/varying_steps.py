@@ -11,14 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.forces import places_of_forces
 from casid.estimation.noise.noise_response import (
     linearised,
-    of_several,
     on_lines,
     slopes_of_samples,
-    together,
 )
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -120,15 +117,4 @@ def _behind_lags(steps: Steps, lags: Mapping[int, float]) -> Steps:
         c[:, output], d[:, output] = 0.0, 0.0
         c[:, output, nx] = 1.0
         steps = replace(steps, a=a, b0=b0, b1=b1, c=c, d=d)
-    return steps
-
-
-def joined_steps(steps: Steps, spectra: Mapping[str, DisturbanceSpectrum]) -> Steps:
-    """Steps of a simulation that is linearised at every sample, with the forces joined."""
-    for name, parts in of_several(steps.sources, spectra):
-        b0, b1, d = (
-            np.concatenate([m, together(m, steps.sources, parts)], axis=2)
-            for m in (steps.b0, steps.b1, steps.d)
-        )
-        steps = replace(steps, sources=(*steps.sources, name), b0=b0, b1=b1, d=d)
     return steps
