@@ -15,6 +15,7 @@ from casid.diagnosis.search.adoption.friction_sharpness import (
     with_sharp_friction_beside,
     without_blunt_reversals,
 )
+from casid.diagnosis.search.adoption.instants_beside import with_last_change_placed
 from casid.diagnosis.search.adoption.powers_of_signals import with_better_powers
 from casid.diagnosis.search.adoption.reconsideration import better_rivals
 from casid.diagnosis.search.adoption.refinement import (
@@ -43,9 +44,9 @@ from casid.diagnosis.search.comparison.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
+from casid.diagnosis.search.disturbance.disturbance_price import pays
 from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside, sole_disturbance
 from casid.diagnosis.search.refits.soft_stops import is_soft_stop
-from casid.diagnosis.search.refits.swinging_parts import may_move
 from casid.diagnosis.search.refusals import ACCEPTED, LEAVES_MORE, Refusal
 from casid.diagnosis.search.residual_check import is_more_than_noise, is_noise_alone
 from casid.diagnosis.search.rounds import Search
@@ -60,6 +61,10 @@ SHARPNESS = "the sharpness of a reversal"
 BLUNT = "the test of causes that a blunt reversal brings about"
 POWERS = "the powers by which parameters change with states and channels"
 INSTANTS = "the instants of changes in the whole records"
+BESIDE = "the instant of a change beside a random disturbance"
+EVENT = "the comparison of what sets in with other changes at its instant"
+MOTION = "the motion of a further part when the record begins"
+PREDICTION = "the comparison of the causes with their rivals by what was held out"
 
 
 def adopt_causes(
@@ -80,17 +85,13 @@ def adopt_causes(
     units = base_fit.criterion.weights
     under = at.noise if search.weighing.takes_disturbances else None
     errors = simulation_errors(base_fit if under is None else at.fit, split, units, under)
-    state = Selection(search, split, once, units, at, errors, at, base_fit, errors, first)
+    state = Selection(search, split, once, units, at, base_fit, errors, at, base_fit, errors, first)
     refine = Refinement(search, split, once, units, at, base_fit)
     with search.attempts.within(BUDGET.rounds):
         while len(state.adopted) < search.max_causes and not state.is_done and state.adopt_next():
             state.exchange_last()
             if under is None:
-                state.rename_event(refine)
-                state.sharpen(refine)
-                state.set_in_motion(refine)
-                state.reshape(refine)
-                state.exchange_for_prediction(refine)
+                state.refine(refine)
     if not state.adopted:
         return Adoption((), at, None)
     found, attempt = state.found, search.attempts.attempt
@@ -128,6 +129,7 @@ class Selection:
     settings: FitSettings
     units: Array  # of the outputs, see `simulation_errors`
     start: Weighted  # the model as it is
+    base: Fit  # of it, as `fit`
     before: SimulationErrors  # of it
     at: Weighted
     fit: Fit  # simulation error, whole records
@@ -144,17 +146,24 @@ class Selection:
 
     @property
     def is_done(self) -> bool:
-        """True if laws were adopted, and a random disturbance explains the rest.
+        """True if a random disturbance explains all that the causes adopted leave.
 
-        A change in time may have followed a disturbance, or imitate what is sought next.
+        A change in time may have followed a disturbance, or imitate what is sought next. One that
+        stays is enough where with it a disturbance is likelier than one alone.
         """
         named = [a.candidate for a in self.adopted]
         search = self.search
-        if not named or any(map(is_imitator, named)) or search.weighing.takes_disturbances:
+        if not named or search.weighing.takes_disturbances:
+            return False
+        imitators = [c for c in named if is_imitator(c)]
+        if not all(c.effect.sets_in and c.effect.end is None for c in imitators):
             return False
         what = "the test whether a random disturbance explains all that the causes leave"
         alone = partial(sole_disturbance, search, self.at, self.fit, named)
-        return search.attempts.attempt(what, alone) is not None
+        left = search.attempts.attempt(what, alone)
+        if left is None or not imitators:
+            return left is not None
+        return pays(search.under_disturbance(self.base), left, named, search.count_tested)
 
     def adopt_next(self) -> bool:
         """One round of the search; False where nothing was adopted."""
@@ -376,47 +385,22 @@ class Selection:
             if search.attempts.attempt(what, partial(self._exchange, taken, other)):
                 return
 
-    def exchange_for_prediction(self, refine: Refinement) -> None:
-        """Take rivals that predict better, before a further cause repairs the shape of a wrong one.
-
-        Only where the noise model absorbed misfit at first: see `Refinement.with_better_rivals`.
-        """
-        what = "the comparison of the causes with their rivals by what was held out"
-        self._take(
-            self.search.attempts.attempt(what, partial(refine.with_better_rivals, self.found))
-        )
-
-    def rename_event(self, refine: Refinement) -> None:
-        """Name what was adopted last, and sets in, by what explains it best at its instant."""
-        what = "the comparison of what sets in with other changes at its instant"
-        renamed = partial(with_last_event_renamed, refine, self.found)
-        self._take(self.search.attempts.attempt(what, renamed))
-
-    def sharpen(self, refine: Refinement) -> None:
-        """Let dry friction that was adopted last reverse as sharply as the records show."""
-        if self.adopted[-1].candidate.effect.kind == "coulomb_friction":
-            sharp = partial(with_sharp_friction, refine, self.found, FRICTION.samples)
-            self._take(self.search.attempts.attempt(SHARPNESS, sharp))
-
-    def set_in_motion(self, refine: Refinement) -> None:
-        """Let a part that was adopted last move when a record begins."""
-        if may_move(self.adopted[-1].candidate):
-            what = "the motion of a further part when the record begins"
-            self._take(
-                self.search.attempts.attempt(what, partial(refine.with_initial_motion, self.found))
-            )
-
-    def reshape(self, refine: Refinement) -> None:
-        """Let parameters change with the powers of signals that suit the causes found by now."""
-        powers = partial(with_better_powers, refine, self.found)
-        self._take(self.search.attempts.attempt(POWERS, powers))
-
-    def _take(self, found: Adoption | None) -> None:
-        """Go on from what was refined, if it was."""
-        if found is None or found.fit is None or found.fit is self.fit:
-            return
-        self.adopted, self.at, self.fit = list(found.adopted), found.at, found.fit
-        self.errors = simulation_errors(self.fit, self.split, self.units)
+    def refine(self, refine: Refinement) -> None:
+        """Refine what was adopted by now, before a further cause makes up for what is inexact."""
+        sharp = partial(with_sharp_friction, refine, most=FRICTION.samples)
+        is_dry = self.adopted[-1].candidate.effect.kind == "coulomb_friction"
+        for what, step in (
+            (BESIDE, partial(with_last_change_placed, refine)),
+            (EVENT, partial(with_last_event_renamed, refine)),
+            *([(SHARPNESS, sharp)] if is_dry else []),
+            (MOTION, refine.with_initial_motion),
+            (POWERS, partial(with_better_powers, refine)),
+            (PREDICTION, refine.with_better_rivals),
+        ):
+            found = self.search.attempts.attempt(what, partial(step, self.found))
+            if found is not None and found.fit is not None and found.fit is not self.fit:
+                self.adopted, self.at, self.fit = list(found.adopted), found.at, found.fit
+                self.errors = simulation_errors(self.fit, self.split, self.units)
 
     def _exchange(self, taken: Adopted, other: Candidate) -> bool:
         """Take another candidate in the place of the last one, if it leaves noise alone."""

@@ -54,7 +54,7 @@ def test_a_store_and_a_dead_time_are_adopted_together(seed: int) -> None:
     at, units = weighing.weigh(oven(), fit), fit.criterion.weights
     search = Search(weighing, {}, without=set(KINDS) - {"missing_mode", "time_delay"})
     errors = simulation_errors(fit, split, units)
-    state = Selection(search, split, ONCE, units, at, errors, at, fit, errors)
+    state = Selection(search, split, ONCE, units, at, fit, errors, at, fit, errors)
     assert state.adopt_next()
     sizes = {
         a.candidate.effect.kind: state.fit.values[a.candidate.names[-1]] for a in state.adopted

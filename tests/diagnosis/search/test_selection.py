@@ -75,7 +75,7 @@ def test_a_comparison_with_rivals_that_fails_is_left_out_alone(monkeypatch):
     )
     search = SimpleNamespace(attempts=Attempts(), progress=lambda _: None)
     at = SimpleNamespace(noise_absorbs_misfit=False)
-    state = Selection(search, None, None, None, at, None, at, None, None, adopted=[taken])
+    state = Selection(search, None, None, None, at, None, None, at, None, None, adopted=[taken])
     state.exchange_last()
     assert state.adopted == [taken]
     (note,) = search.attempts.notes()
@@ -122,7 +122,7 @@ def test_a_drift_takes_the_place_of_a_law_that_predicts_worse_where_it_leaves_no
     monkeypatch.setattr(Selection, "_extend", extend)
     search = SimpleNamespace(attempts=Attempts(), refused=[])
     at = SimpleNamespace(noise_absorbs_misfit=True)
-    state = Selection(search, None, None, None, at, None, at, None, None)
+    state = Selection(search, None, None, None, at, None, None, at, None, None)
     assert state.adopt_next()
     assert [a.candidate.effect.kind for a in state.adopted] == [adopted]
 
@@ -136,7 +136,7 @@ def test_what_is_refused_beside_another_effect_says_so(monkeypatch: pytest.Monke
     monkeypatch.setattr(Selection, "_extend", lambda self, news, leaves_noise: why)
     search = SimpleNamespace(attempts=Attempts(), refused=[])
     at = SimpleNamespace(noise_absorbs_misfit=True)
-    state = Selection(search, None, None, None, at, None, at, None, None)
+    state = Selection(search, None, None, None, at, None, None, at, None, None)
     assert not state._adopt([second])
     state.adopted = [first]
     assert not state._adopt([second])

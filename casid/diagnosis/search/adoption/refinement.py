@@ -46,6 +46,7 @@ from casid.diagnosis.search.comparison.simulation_errors import (
     simulation_errors,
     why_held_out,
 )
+from casid.diagnosis.search.disturbance.disturbance_price import explaining_disturbance
 from casid.diagnosis.search.instants.instant_errors import moved_in_time
 from casid.diagnosis.search.refits.swinging_parts import in_motion, may_move
 from casid.diagnosis.search.refusals import SUPERFLUOUS, Refusal
@@ -205,10 +206,13 @@ class Refinement:
         """With the instants of changes refitted to the whole records, beside all causes.
 
         They were placed under the noise of a model without the cause, which may weigh the outputs
-        by far larger errors than they have.
+        by far larger errors than they have. Those beside a disturbance stay: the least simulation
+        error lies where the disturbance is small as well.
         """
         adopted, fit = list(found.adopted), found.fit
         assert fit is not None
+        if explaining_disturbance(self.search, found.at, fit) is not None:
+            return found
         for _ in range(JUMPS.moves):
             causes = moved_in_time(self.start.model, adopted, fit)
             if causes is None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from casid.arrays import TINY
 from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
+from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.simulation.minimization import Fit
 
@@ -29,6 +32,19 @@ def under_likelier_disturbance(search: Search, start: Weighted, fit: Fit) -> Wei
     if held_beyond_chance(bare.unbiased or bare.fit):
         return None
     return bare if minus_log_likelihood(bare) <= as_white(fit) else None
+
+
+def explaining_disturbance(search: Search, start: Weighted, fit: Fit) -> Weighted | None:
+    """A model under a disturbance with which its residual is random; None where none explains it.
+
+    Parameters
+    ----------
+    start, fit : as for `under_likelier_disturbance`.
+    """
+    bare = under_likelier_disturbance(search, start, fit)
+    if bare is None or is_more_than_noise(bare, search.with_disturbances()):
+        return None
+    return bare
 
 
 def as_white(fit: Fit) -> float:
@@ -54,3 +70,17 @@ def price_of(cost: int, samples: int, tested: int) -> float:
     tested : effects among which it was chosen.
     """
     return cost * math.log(samples) + 2 * math.log(max(tested, 1))
+
+
+def pays(bare: Weighted, left: Weighted, causes: Sequence[Candidate], tested: int) -> bool:
+    """True if causes beside a disturbance are likelier than a disturbance alone, for their price.
+
+    Parameters
+    ----------
+    bare : the model as it is, under the disturbances of its residual.
+    left : the extended model, under those that it leaves.
+    tested : effects among which each cause was chosen.
+    """
+    gain = minus_log_likelihood(bare) - minus_log_likelihood(left, bare.criterion)
+    n = bare.criterion.n_samples
+    return 2 * gain > sum(price_of(c.effect.cost, n, tested) for c in causes)

@@ -21,15 +21,15 @@ from casid.diagnosis.evidence.gain_under_disturbance import (
 from casid.diagnosis.evidence.records.signal_sizes import window_of
 from casid.diagnosis.evidence.scores.score_tests import Score, ScoreTable
 from casid.diagnosis.evidence.scores.signature_columns import extended_columns
-from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance.disturbance_price import (
+    explaining_disturbance,
+    pays,
     price_of,
-    under_likelier_disturbance,
 )
 from casid.diagnosis.search.instants.jump_times import placed, placed_by_tangents
 from casid.diagnosis.search.instants.temporary_changes import temporary_changes
-from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search, strongest_of_each
 from casid.diagnosis.thresholds import DISTURBED, RESTARTS
 from casid.estimation.noise.noise_model import NoiseModel
@@ -51,8 +51,8 @@ def sole_disturbance(
     adopted : the causes that are in it.
     """
     search.progress("test whether a random disturbance explains all that the model leaves")
-    bare, beside = under_likelier_disturbance(search, start, base), search.with_disturbances()
-    if bare is None or is_more_than_noise(bare, beside):
+    bare, beside = explaining_disturbance(search, start, base), search.with_disturbances()
+    if bare is None:
         return None
     table = beside.table(bare, adopted)
     gains = _Gains.of(search, bare)
@@ -102,10 +102,7 @@ def _change_pays(search: Search, start: Weighted, bare: Weighted, table: ScoreTa
     promising = sorted([*changes[:1], *temporary_changes(start, table)], key=lambda s: -s.unrobust)
     found = search.refits_of(start, promising[:1])
     for c in placed(search.refitting, start, found, [], search.progress):
-        gain = minus_log_likelihood(bare) - minus_log_likelihood(
-            search.under_disturbance(c.fit), bare.criterion
-        )
-        if 2 * gain > price_of(c.effect.cost, bare.criterion.n_samples, len(table.tested)):
+        if pays(bare, search.under_disturbance(c.fit), [c], len(table.tested)):
             return True
     return False
 
