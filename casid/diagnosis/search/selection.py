@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -387,16 +387,17 @@ class Selection:
 
     def refine(self, refine: Refinement) -> None:
         """Refine what was adopted by now, before a further cause makes up for what is inexact."""
-        sharp = partial(with_sharp_friction, refine, most=FRICTION.samples)
-        is_dry = self.adopted[-1].candidate.effect.kind == "coulomb_friction"
-        for what, step in (
-            (BESIDE, partial(with_last_change_placed, refine)),
-            (EVENT, partial(with_last_event_renamed, refine)),
-            *([(SHARPNESS, sharp)] if is_dry else []),
-            (MOTION, refine.with_initial_motion),
-            (POWERS, partial(with_better_powers, refine)),
-            (PREDICTION, refine.with_better_rivals),
-        ):
+        steps: dict[str, Callable[[Adoption], Adoption]] = {
+            BESIDE: partial(with_last_change_placed, refine),
+            EVENT: partial(with_last_event_renamed, refine),
+            SHARPNESS: partial(with_sharp_friction, refine, most=FRICTION.samples),
+            MOTION: refine.with_initial_motion,
+            POWERS: partial(with_better_powers, refine),
+            PREDICTION: refine.with_better_rivals,
+        }
+        if self.adopted[-1].candidate.effect.kind != "coulomb_friction":
+            del steps[SHARPNESS]
+        for what, step in steps.items():
             found = self.search.attempts.attempt(what, partial(step, self.found))
             if found is not None and found.fit is not None and found.fit is not self.fit:
                 self.adopted, self.at, self.fit = list(found.adopted), found.at, found.fit
