@@ -61,7 +61,7 @@ def sole_disturbance(
     alone = search.table(start, adopted)
     for effects, cost in (
         (_best_scored(start, alone), 1),
-        (_lasting_change(start, alone), PARAMETER_JUMPS.cost),
+        (_lasting_changes(start, alone), PARAMETER_JUMPS.cost),
         (_ended_change(start, alone), PARAMETER_JUMPS.cost_of_two),
         (_spectral_lines(start, alone), PERIODIC_FORCES.cost),
     ):
@@ -193,15 +193,16 @@ def _explaining(at: Weighted, table: ScoreTable) -> list[Score]:
     return list(strongest_of_each(most).values())[: DISTURBED.looked_at]
 
 
-def _lasting_change(at: Weighted, table: ScoreTable) -> list[Effect]:
-    """The most promising change that stays, at the instant of least misfit.
+def _lasting_changes(at: Weighted, table: ScoreTable) -> list[Effect]:
+    """The most promising changes that stay, of each kind and place one, at instants of least misfit.
 
-    On the grid of the scores it is late by up to half a step of the grid, in which a disturbance
-    explains it, and all of it after that.
+    On the grid of the scores each is late by up to half a step of the grid, in which a disturbance
+    explains it, and all of it after that. The one that scores best far from the record need not be
+    the one that leaves a smaller disturbance: a bias of the sensor may imitate a load.
     """
     steps = [s for s in table.tested if s.effect.sets_in and s.effect.end is None]
-    best = max(steps, key=lambda s: s.unrobust, default=None)
-    return [] if best is None else [placed_by_tangents(at, best.effect)]
+    promising = list(strongest_of_each(steps).values())[: DISTURBED.looked_at]
+    return [placed_by_tangents(at, s.effect) for s in promising]
 
 
 def _ended_change(at: Weighted, table: ScoreTable) -> list[Effect]:
