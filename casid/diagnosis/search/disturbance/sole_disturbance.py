@@ -194,7 +194,7 @@ def _explaining(at: Weighted, table: ScoreTable) -> list[Score]:
 
 
 def _lasting_changes(at: Weighted, table: ScoreTable) -> list[Effect]:
-    """The most promising changes that stay, of each kind and place one, at instants of least misfit.
+    """The most promising changes that stay, one of each kind and place, where they leave least.
 
     On the grid of the scores each is late by up to half a step of the grid, in which a disturbance
     explains it, and all of it after that. The one that scores best far from the record need not be
