@@ -35,6 +35,7 @@ from casid.model.effects.effect import Effect
 from tests.diagnosis.search.noise_assumptions.test_disturbance_rival import hull, record
 from tests.diagnosis.test_effects_in_time import T, slide
 from tests.diagnosis.test_effects_in_time import record as loaded
+from tests.support.heated_vessel import changed_vessel, vessel
 
 
 def noisy(of: casid.Record, sd: float = 0.012) -> casid.Record:
@@ -301,3 +302,16 @@ def test_a_push_that_the_parameters_followed_has_to_be_sought() -> None:
     search, start, base = started(*craft(gust=3.0))
     assert error_over_noise(base, start.noise) > RESTARTS.far
     assert sole_disturbance(search, start, base) is None
+
+
+def test_a_change_is_sought_though_a_bias_of_the_sensor_scores_higher() -> None:
+    search, start, base = started(changed_vessel(3, share=0.4, flow=6.0), vessel().model)
+    best = max(search.table(start, []).tested, key=lambda s: s.unrobust * s.effect.sets_in)
+    assert best.effect.kind == "sensor_bias"
+    assert sole_disturbance(search, start, base) is None
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_slow_flow_of_heat_alone_leaves_nothing_to_seek(seed: int) -> None:
+    search, start, base = started(changed_vessel(seed, share=0.0, flow=6.0), vessel().model)
+    assert sole_disturbance(search, start, base) is not None
