@@ -14,10 +14,11 @@ from casid.arrays import Array
 from casid.estimation.disturbances.common_disturbance import CommonSearch, name_of_common
 from casid.estimation.disturbances.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum, Part
+from casid.estimation.noise.joined_sources import joined_steps
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.source_spectra import SourceSpectra
 from casid.estimation.noise.variances import estimate_noise
-from casid.estimation.noise.varying_steps import Steps, joined_steps
+from casid.estimation.noise.varying_steps import Steps
 from casid.estimation.noise.whittle_scoring import of_spectra
 from casid.estimation.simulation.fit import FitSettings, fit_model
 

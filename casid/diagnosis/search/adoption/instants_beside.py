@@ -36,7 +36,8 @@ def with_last_change_placed(refine: Refinement, found: Adoption) -> Adoption:
         return found
     others = [a.candidate for a in found.adopted[:-1]]
     moved = placed(again.refitting, at, [first], events_of(others), search.progress)
-    best = max(moved, key=lambda c: c.gain)
+    # Beside a force that sets in, a knock was tried in its place: another effect.
+    best = max((c for c in moved if c.effect.key == effect.key), key=lambda c: c.gain)
     if best.effect.variant == effect.variant:
         return found
     causes, fit = refine.with_causes(
