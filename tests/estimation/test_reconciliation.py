@@ -151,5 +151,7 @@ def test_what_is_not_determined_or_said_twice_is_refused_with_a_mend() -> None:
     with pytest.raises(casid.ModelError, match="neither reading nor unknown; use what"):
         stray.solve()
     found = repeated([1.0, 1.1], [0.1, 0.1]).solve()
-    with pytest.raises(casid.ModelError, match="no quantity 'mm'; did you mean 'm'"):
+    with pytest.raises(
+        casid.ModelError, match="no quantity 'mm'; there are m, m0, m1; did you mean 'm'"
+    ):
         found["mm"]

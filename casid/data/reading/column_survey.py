@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,9 +10,17 @@ import numpy as np
 from casid.arrays import FloatArray
 from casid.data.reading.cells import numbers_of, stands_for_none
 from casid.data.reading.clocks.even_clock import even_step, jitter_text
-from casid.data.reading.columns import ColumnSpec, is_dated, time_unit, unit_of_column
-from casid.data.reading.faults import ColumnSurvey, Survey
+from casid.data.reading.columns import (
+    ColumnSpec,
+    is_dated,
+    stated_otherwise,
+    time_unit,
+    unit_of_column,
+)
+from casid.data.reading.faults import ColumnSurvey, Fault, Survey
 from casid.data.reading.tables import Table
+from casid.errors import shell_option
+from casid.model.units import parse_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,3 +103,27 @@ def _is_copy(a: FloatArray, b: FloatArray) -> bool:
     kept = np.isfinite(a)
     x, y = a[kept] - a[kept].mean(), b[kept] - b[kept].mean()
     return abs(float(x @ y)) >= COPY * float(np.sqrt((x @ x) * (y @ y)))
+
+
+def note_other_units(table: Table, given: Mapping[str, ColumnSpec], found: Survey) -> None:
+    """Note every unit that is given and is not the one that the file states."""
+    for channel, spec in given.items():
+        stated = stated_otherwise(table, spec)
+        if stated is None or stated.unit is None or spec.unit is None:
+            continue
+        text = (
+            f"column {spec.column!r} is read in {spec.unit}, the unit given, though "
+            f"{'the file states' if stated.is_sure else 'its name ends with'} {stated.text}"
+        )
+        one, other = parse_unit(spec.unit), parse_unit(stated.unit)
+        if one.dimension == other.dimension and one.offset == other.offset:
+            text += f": its numbers count {one.factor / other.factor:.6g} times as much"
+        example = shell_option("--map", f"{channel}={spec.column}")
+        remedy = (
+            f"Leave the unit out, as in {example}, to read it in {stated.text}; keep it where the "
+            "file is wrong."
+        )
+        if stated.is_sure:
+            found.doubts.append(Fault("unit", f"{text}.", remedy, channel))
+        else:
+            found.notes.append(f"{channel}: {text}. {remedy.rstrip('.')}")

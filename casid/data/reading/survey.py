@@ -29,13 +29,12 @@ from casid.data.reading.clocks.even_clock import (
 )
 from casid.data.reading.clocks.resampling import resampled
 from casid.data.reading.clocks.unit_of_time import assumed_seconds
-from casid.data.reading.column_survey import column_surveys
+from casid.data.reading.column_survey import column_surveys, note_other_units
 from casid.data.reading.columns import (
     Columns,
     ColumnSpec,
     Time,
     resolve,
-    stated_otherwise,
     time_unit,
 )
 from casid.data.reading.faults import Fault, Survey
@@ -46,7 +45,7 @@ from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_
 from casid.data.reading.sources import sha256, source_of
 from casid.data.reading.tables import Table
 from casid.data.record import Record
-from casid.errors import DataError, UnitError, shell_option
+from casid.errors import DataError, UnitError
 from casid.model.quantities import count_text, window_text
 from casid.model.units import parse_unit, si_unit, to_si
 
@@ -131,7 +130,7 @@ def survey(
             rows = rows[inside]
             steps.append(f"window {window_text(*window)} s: {rows.size} samples")
     channels = _channels(opened, rows, found, steps, options, skip_text=columns is None)
-    _compare_units(opened, found)
+    note_other_units(opened.table, opened.given, found)
     steps += [f"remark: {note}" for note in (*found.notes, *found.doubts)]
     clock = _with_absent_rows(found, channels, options)
     if found.times is None or not (clock or _is_even(opened, rows, found, resample)):
@@ -152,6 +151,11 @@ class _Opened(NamedTuple):
     frame: pd.DataFrame
     specs: dict[str, ColumnSpec]
     clock: ColumnSpec | None
+
+    @property
+    def given(self) -> dict[str, ColumnSpec]:
+        """The channels to read, the time as `t` among them."""
+        return self.specs | ({} if self.clock is None else {"t": self.clock})
 
 
 def _opened(
@@ -191,31 +195,6 @@ def _name_clock(opened: _Opened, found: Survey, digest: str) -> None:
         form, column = opened.table.form, found.clock
         clock = " ".join(filter(None, (column or f"every {form.Ts} s", form.table, digest)))
         found.record = replace(found.record, clock=clock)
-
-
-def _compare_units(opened: _Opened, found: Survey) -> None:
-    """Note every unit that is given and is not the one that the file states."""
-    clock = {} if opened.clock is None else {"t": opened.clock}
-    for channel, spec in (opened.specs | clock).items():
-        stated = stated_otherwise(opened.table, spec)
-        if stated is None or stated.unit is None or spec.unit is None:
-            continue
-        text = (
-            f"column {spec.column!r} is read in {spec.unit}, the unit given, though "
-            f"{'the file states' if stated.is_sure else 'its name ends with'} {stated.text}"
-        )
-        one, other = parse_unit(spec.unit), parse_unit(stated.unit)
-        if one.dimension == other.dimension and one.offset == other.offset:
-            text += f": its numbers count {one.factor / other.factor:.6g} times as much"
-        example = shell_option("--map", f"{channel}={spec.column}")
-        remedy = (
-            f"Leave the unit out, as in {example}, to read it in {stated.text}; keep it where the "
-            "file is wrong."
-        )
-        if stated.is_sure:
-            found.doubts.append(Fault("unit", f"{text}.", remedy, channel))
-        else:
-            found.notes.append(f"{channel}: {text}. {remedy.rstrip('.')}")
 
 
 def _with_unit(column: str, unit: str) -> str:
