@@ -89,7 +89,7 @@ def identify_unstable(task: Task, values: Mapping[str, float]) -> Estimate | Non
 
 
 def _option(d: Disturbance) -> str:
-    """How a command is asked for a disturbance."""
+    """The option of a command that states a disturbance."""
     return shell_option("--disturbance", f"{d.place}:{d.spectrum}")
 
 
