@@ -8,11 +8,13 @@ disturbance that the change leaves, the instant is as sharp as the records make 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from casid.diagnosis.evidence.whitening.weighted_model import minus_log_likelihood
 from casid.diagnosis.search.adoption.refinement import Adoption, Refinement
+from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.search.disturbance.disturbance_price import explaining_disturbance
-from casid.diagnosis.search.instants.jump_times import events_of, placed
+from casid.diagnosis.search.instants.jump_times import events_of, placed_by_refits
 
 
 def with_last_change_placed(refine: Refinement, found: Adoption) -> Adoption:
@@ -35,10 +37,11 @@ def with_last_change_placed(refine: Refinement, found: Adoption) -> Adoption:
     if first is None:
         return found
     others = [a.candidate for a in found.adopted[:-1]]
-    moved = placed(again.refitting, at, [first], events_of(others), search.progress)
-    # Beside a force that sets in, a knock was tried in its place: another effect.
-    best = max((c for c in moved if c.effect.key == effect.key), key=lambda c: c.gain)
-    if best.effect.variant == effect.variant:
+    what, known = f"the instant of {name_of(effect)}", events_of(others)
+    search.progress(f"find {what}")
+    scan_of = partial(placed_by_refits, again.refitting, at, first, known)
+    best = again.refitting.attempts.attempt(what, scan_of)
+    if best is None or best.effect.variant == effect.variant:
         return found
     causes, fit = refine.with_causes(
         [*others, replace(last.candidate, effect=best.effect)], found.fit

@@ -49,7 +49,7 @@ def placed(
             progress(f"find the instant of {name_of(c.effect)}")
             if instant is not None:
                 c = _better_at(refitting, at, c, instant, known)
-            scan_of = partial(_placed, refitting, at, c, known)
+            scan_of = partial(placed_by_refits, refitting, at, c, known)
             what = f"the instant of {name_of(c.effect)}"
             c = refitting.attempts.attempt(what, scan_of) or c
             instant = instant if instant is not None else c.effect.variant
@@ -178,10 +178,12 @@ def _knock(
         return None  # one was found there
     force = found.fit.values[found.names[0]]
     twin = refitting.refit(at, other, force * JUMPS.knock * Ts)
-    return None if twin is None else _placed(refitting, at, replace(twin, score=found.score), known)
+    if twin is None:
+        return None
+    return placed_by_refits(refitting, at, replace(twin, score=found.score), known)
 
 
-def _placed(
+def placed_by_refits(
     refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
 ) -> Candidate:
     """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
