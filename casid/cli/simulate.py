@@ -139,7 +139,7 @@ def _of_result(
     if silent and not on_clock:
         say(f"note: {silent}")
     acts = on_clock or not silent
-    return fitted, fitted.simulate(experiment, start, known=known, on_clock=acts)
+    return fitted, fitted.simulate(given, start, known=known, on_clock=acts)
 
 
 def _of_problem(

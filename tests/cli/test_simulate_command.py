@@ -11,7 +11,9 @@ from click.testing import CliRunner, Result
 from numpy.testing import assert_allclose
 
 import casid
+from casid.arrays import Array
 from casid.cli.main import main
+from casid.estimation.fitted import driving
 from problems import pendulum, roll_decay
 from tests.support.fitted_models import (
     Simulated,
@@ -46,6 +48,21 @@ def files(driven: Simulated, tmp_path: Path) -> tuple[Path, Path]:
     frame = pd.DataFrame({"t": driven.t, "accel": driven.inputs["accel"]})
     frame.to_csv(tmp_path / "inputs.csv", index=False)
     return driven.fitted.save(tmp_path / "pendulum.casid"), tmp_path / "inputs.csv"
+
+
+def test_the_note_about_silent_causes_and_the_simulation_share_their_inputs(
+    files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+    of_model = driving.input_columns
+
+    def counted(model: casid.Model, record: casid.Record) -> Array:
+        made.append(record.name)
+        return of_model(model, record)
+
+    monkeypatch.setattr(driving, "input_columns", counted)
+    assert run(*files, "--out", tmp_path / "out.csv").exit_code == 0
+    assert made == ["inputs"]
 
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])

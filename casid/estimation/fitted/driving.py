@@ -58,7 +58,7 @@ def driving_of(
     *,
     needs_outputs: bool = True,
 ) -> Driving:
-    """Inputs in any form, in the order and units of `model`.
+    """Inputs in any form, in the order and units of `model`; those that are so already as they are.
 
     Outputs of a table that cannot be read are left out where nothing needs them.
 
@@ -68,6 +68,8 @@ def driving_of(
         For inputs that are missing or incomplete, or a sample time that is not positive or belongs
         to a record.
     """
+    if isinstance(inputs, Driving):
+        return inputs
     if Ts is not None and not (np.isfinite(Ts) and Ts > 0):
         raise DataError(f"{model.name}: Ts = {Ts!r} s; give a positive number of seconds")
     if is_frame(inputs):

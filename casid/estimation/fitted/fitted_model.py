@@ -35,7 +35,9 @@ from casid.saving.saved import Saved
 if TYPE_CHECKING:
     import pandas as pd
 
-Inputs: TypeAlias = "Record | Experiment | pd.DataFrame | Mapping[str, Array | float] | int"
+Inputs: TypeAlias = (
+    "Record | Experiment | pd.DataFrame | Mapping[str, Array | float] | int | Driving"
+)
 """What a fitted model can be driven with; a number of samples where it has no inputs."""
 
 
