@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -365,21 +365,25 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
             parts.append(np.where(d.used, d.errors(y), np.nan) * weights)
     if not anew:
         parts += [h.error * weights for h in validation(fit, replace(split, apart=[]))]
-    parts += [error_apart(fit, split, e) * weights for e in split.apart]
+    parts += errors_apart(fit, split, lambda e: _error_apart(fit, e) * weights)
     if has_windows(fit):
         parts = [error_per_window(fit, error) for error in parts]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
 
 
-def error_apart(fit: Fit, split: Split, experiment: Experiment) -> Array:
-    """(N, ny) errors in a record held out as a whole; NaN where it does not judge the model."""
-    if not split.judges(fit.criterion.model, experiment):
-        return no_error(fit, experiment)
+def errors_apart(fit: Fit, split: Split, error_of: Callable[[Experiment], Array]) -> list[Array]:
+    """(N, ny) of every record held out as a whole; NaN in one that does not judge the model."""
+    model = fit.criterion.model
+    return [error_of(e) if split.judges(model, e) else _no_error(fit, e) for e in split.apart]
+
+
+def _error_apart(fit: Fit, experiment: Experiment) -> Array:
+    """(N, ny) errors of a record simulated from the initial state that fits it best."""
     d, y, _ = simulate_apart(fit, experiment)
     return np.where(d.used, d.errors(y), np.nan)
 
 
-def no_error(fit: Fit, experiment: Experiment) -> Array:
+def _no_error(fit: Fit, experiment: Experiment) -> Array:
     """(N, ny) NaN: no sample of the record counts."""
     used = signals_of(fit.criterion.model, experiment).used
     return np.full(used.shape, np.nan)

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from casid.arrays import TINY, Array
+from casid.data.experiment import Experiment
 from casid.diagnosis.search.refusals import ACCEPTED, Refusal
 from casid.diagnosis.thresholds import FORESIGHT, GROWTH, ROUNDS
 from casid.errors import SolveError
@@ -25,10 +26,10 @@ from casid.estimation.holdout import (
     degrees_of_freedom,
     end_in_windows,
     error_per_window,
+    errors_apart,
     has_windows,
     held_out_error,
     in_windows,
-    no_error,
     whole_simulation,
     why_no_better,
     why_worse,
@@ -101,18 +102,19 @@ def simulation_errors(
     whole = _whole_errors(fit, split, units, _along_whole(noise, fit, split))
     inside = [error[~held] for error, held in zip(whole, split.held, strict=True)]
     ends = [error[held] for error, held in zip(whole, split.held, strict=True)]
-    for experiment in split.apart:
-        if not split.judges(fit.criterion.model, experiment):
-            ends.append(no_error(fit, experiment))
-            continue
-        apart, x = begun_apart(fit, experiment)
-        its = along_record(noise, apart, x) if noise is not None else None
-        ends.append(_errors(apart.data[0], apart.simulate(x, 0)[0], units, its, 0))
+    ends += errors_apart(fit, split, lambda e: _error_apart(fit, e, units, noise))
     restarted = np.zeros((0, len(units)))
     if noise is None and any(bool(held.any()) for held in split.held):
         again = held_out_error(fit, replace(split, apart=[]), anew=True)
         restarted = again / fit.criterion.weights * units
     return SimulationErrors(np.concatenate(inside), np.concatenate(ends), restarted)
+
+
+def _error_apart(fit: Fit, experiment: Experiment, units: Array, noise: NoiseModel | None) -> Array:
+    """(N, ny) of a record held out as a whole."""
+    apart, x = begun_apart(fit, experiment)
+    its = along_record(noise, apart, x) if noise is not None else None
+    return _errors(apart.data[0], apart.simulate(x, 0)[0], units, its, 0)
 
 
 def _along_whole(noise: NoiseModel | None, fit: Fit, split: Split) -> NoiseModel | None:
@@ -136,13 +138,10 @@ def _errors_in_windows(fit: Fit, split: Split, units: Array, noise: NoiseModel) 
     for whole, held in zip(split.whole, split.held, strict=True):
         if held.any():
             ends.append(end_in_windows(fit, whole, int(np.argmax(held))))
-    outside = [error_per_window(fit, _whitened_end(*end, noise)) for end in ends]
-    for apart in split.apart:
-        judges = split.judges(fit.criterion.model, apart)
-        its = _whitened_end(*in_windows(fit, apart), noise) if judges else no_error(fit, apart)
-        outside.append(error_per_window(fit, its))
+    outside = [_whitened_end(*end, noise) for end in ends]
+    outside += errors_apart(fit, split, lambda e: _whitened_end(*in_windows(fit, e), noise))
     none = np.zeros((0, len(units)))
-    held = np.concatenate(outside) if outside else none
+    held = np.concatenate([error_per_window(fit, e) for e in outside]) if outside else none
     return SimulationErrors(np.concatenate(inside), held, none)
 
 
