@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,15 +108,15 @@ class Alignment:
             f"{self.std_error:.2g} s, from {self.using} and {self.other_using}), by cubic spline"
         )
         history = tuple(f"{other.name}: {line}" for line in smooth.provenance)
-        return Record(
-            channels,
-            units,
-            reference.Ts,
-            float(reference.t[rows[0]]),
-            f"{reference.name}+{other.name}",
-            missing,
-            (*reference.provenance, *history, step),
-            clock=reference.clock,
+        return replace(
+            reference,
+            channels=channels,
+            units=units,
+            t0=float(reference.t[rows[0]]),
+            name=f"{reference.name}+{other.name}",
+            missing=missing,
+            late={n: s[rows] for n, s in reference.late.items()},
+            provenance=(*reference.provenance, *history, step),
         )
 
 

@@ -178,15 +178,14 @@ def derive(
             f"{count_text(edge, 'sample')} cut at either end, where derived channels are guesses"
         )
     cut = slice(edge, record.N - edge)
-    return Record(
-        {n: v[cut] for n, v in channels.items()},
-        units,
-        record.Ts,
-        record.t0 + edge * record.Ts,
-        record.name,
-        {n: m[cut] for n, m in record.missing.items()},
-        (*record.provenance, *steps),
-        clock=record.clock,
+    return replace(
+        record,
+        channels={n: v[cut] for n, v in channels.items()},
+        units=units,
+        t0=record.t0 + edge * record.Ts,
+        missing={n: m[cut] for n, m in record.missing.items()},
+        late={n: s[cut] for n, s in record.late.items()},
+        provenance=(*record.provenance, *steps),
     )
 
 

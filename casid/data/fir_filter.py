@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -123,15 +123,13 @@ class FirFilter(Presented):
             if edges == "trim"
             else "ends reflected"
         )
-        return Record(
-            channels,
-            record.units,
-            record.Ts,
-            record.t0 + (M * record.Ts if edges == "trim" else 0.0),
-            record.name,
-            {name: _dilated(mask, M)[cut] for name, mask in record.missing.items()},
-            (*record.provenance, step),
-            clock=record.clock,
+        return replace(
+            record,
+            channels=channels,
+            t0=record.t0 + (M * record.Ts if edges == "trim" else 0.0),
+            missing={name: _dilated(mask, M)[cut] for name, mask in record.missing.items()},
+            late={},  # each value is of many samples now
+            provenance=(*record.provenance, step),
         )
 
 

@@ -6,6 +6,8 @@ the outputs alone, or on the inputs alone, changes the plant that is estimated.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from casid.argument_types import names_wrong_types
@@ -64,15 +66,13 @@ def decimate(record: Record, factor: int, *, edges: Edges = "trim") -> Record:
     if factor == 1:
         return record
     smooth = anti_alias(factor, record.Ts).apply(record, edges=edges)
-    return Record(
-        {n: v[::factor] for n, v in smooth.channels.items()},
-        smooth.units,
-        smooth.Ts * factor,
-        smooth.t0,
-        smooth.name,
-        {n: m[::factor] for n, m in smooth.missing.items()},
-        (*smooth.provenance, f"decimated: 1 in {factor} kept, Ts = {smooth.Ts * factor:g} s"),
-        clock=smooth.clock,
+    step = f"decimated: 1 in {factor} kept, Ts = {smooth.Ts * factor:g} s"
+    return replace(
+        smooth,
+        channels={n: v[::factor] for n, v in smooth.channels.items()},
+        Ts=smooth.Ts * factor,
+        missing={n: m[::factor] for n, m in smooth.missing.items()},
+        provenance=(*smooth.provenance, step),
     )
 
 
@@ -109,13 +109,4 @@ def detrend(record: Record, order: int = 0) -> Record:
     step = (
         f"{'straight line' if order else 'mean'} subtracted from all channels: {', '.join(taken)}"
     )
-    return Record(
-        channels,
-        record.units,
-        record.Ts,
-        record.t0,
-        record.name,
-        record.missing,
-        (*record.provenance, step),
-        clock=record.clock,
-    )
+    return replace(record, channels=channels, provenance=(*record.provenance, step))

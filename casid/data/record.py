@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -201,17 +201,7 @@ class Record(RecordMethods, Presented, PickledByFields):
     # ------------------------------------------------------------------ changing it
 
     def _derive(self, step: str, /, **changes: Any) -> Record:
-        fields: dict[str, Any] = {
-            "channels": self.channels,
-            "units": self.units,
-            "Ts": self.Ts,
-            "t0": self.t0,
-            "name": self.name,
-            "missing": self.missing,
-            "provenance": (*self.provenance, step),
-            "clock": self.clock,
-        }
-        return Record(**(fields | changes))
+        return replace(self, provenance=(*self.provenance, step), **changes)
 
     def between(self, start: float, stop: float) -> Record:
         """Return the samples with start <= t <= stop, seconds of the record's own clock.
@@ -348,7 +338,6 @@ class Record(RecordMethods, Presented, PickledByFields):
         return self._derive(
             f"{count_text(int(marks.sum()), 'sample')} of {channel} marked missing",
             missing={**self.missing, channel: marks},
-            late=self.late,
         )
 
     # ------------------------------------------------------------------ printing it

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_equal
 
+from casid.data.alignment import Alignment
+from casid.data.derived import Derived, derive
 from casid.data.experiment import Experiment
 from casid.data.missing_samples import some_missing
 from casid.data.reading.record_file import read_record
@@ -236,6 +241,72 @@ def test_all_that_is_made_of_a_record_is_on_its_clock():
     assert pickle.loads(pickle.dumps(made[0])).clock == own.clock
     assert Record({"x": np.cos(t)}, {"x": "m"}, Ts=0.1).clock != own.clock
     assert Record({"x": np.sin(t)}, {"x": "m"}, Ts=0.1, t0=40.0).clock != own.clock
+
+
+def full() -> Record:
+    """A record whose every field is another than the default."""
+    t = 12.0 + 0.1 * np.arange(400)
+    gone = {"x": t > 50.0}
+    return Record(
+        {"x": np.sin(t), "v": np.cos(t)},
+        {"x": "m", "v": "m/s"},
+        0.1,
+        12.0,
+        "run",
+        gone,
+        ("made",),
+        {"v": 0.01 * np.sin(3 * t)},
+        "clock of the run",
+    )
+
+
+def merged(record: Record) -> Record:
+    other = record.without("v").rename({"x": "theirs"})
+    offset = Alignment(0.0, 0.01, 1.0, 0.1, 40.0, record.name, "other", "x", "theirs")
+    return offset.apply(record, other)
+
+
+SAMPLES = {"channels", "missing", "late"}
+OPERATIONS: dict[str, tuple[Callable[[Record], Record], set[str]]] = {
+    "a window": (lambda r: r.between(20.0, 30.0), {*SAMPLES, "t0", "name"}),
+    "a channel more": (lambda r: r.with_channel("a", np.ones(r.N), "m"), {"channels", "units"}),
+    "a channel less": (lambda r: r.without("x"), {"channels", "units", "missing"}),
+    "another name": (lambda r: r.rename({"x": "y"}), {"channels", "units", "missing"}),
+    "a mark": (lambda r: r.mark_missing("v", r["v"] > 0.9), {"missing"}),
+    "without its mean": (lambda r: r.detrend(), {"channels"}),
+    "filtered": (lambda r: r.lowpass(1.0), {*SAMPLES, "t0"}),
+    "every second sample": (lambda r: r.decimate(2), {*SAMPLES, "t0", "Ts"}),
+    "merged": (merged, {"channels", "units", "name", "missing"}),
+    "a channel derived": (
+        lambda r: derive(r, {"double": Derived("m/s", {"v": "m/s"}, lambda r: 2 * r["v"])}),
+        {"channels", "units"},
+    ),
+    "a channel derived by a filter": (
+        lambda r: derive(r, {"a": Derived("m/s", {"v": "m/s"}, lambda r: r["v"], margin=1.0)}),
+        {*SAMPLES, "units", "t0"},
+    ),
+}
+
+
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_what_is_made_of_a_record_keeps_all_that_it_does_not_change(operation: str) -> None:
+    record, (make, changes) = full(), OPERATIONS[operation]
+    made = make(record)
+    for name in {f.name for f in fields(Record)} - {*changes, "provenance"}:
+        assert_equal(dict(content(made, name)), dict(content(record, name)), name)
+    assert made.provenance[:1] == record.provenance
+
+
+def content(record: Record, name: str) -> Mapping[str, object]:
+    value = getattr(record, name)
+    return value if isinstance(value, Mapping) else {name: value}
+
+
+def test_a_sample_that_stays_keeps_by_how_much_it_is_late() -> None:
+    record = full()
+    for made in (merged(record), OPERATIONS["a channel derived by a filter"][0](record)):
+        first = round((made.t0 - record.t0) / record.Ts)
+        assert_equal(made.late["v"], record.late["v"][first : first + made.N])
 
 
 def test_windows_of_a_file_are_on_one_clock_and_another_file_is_on_its_own(tmp_path: Path):
