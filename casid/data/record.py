@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -115,7 +115,18 @@ class Record(RecordMethods, Presented, PickledByFields):
         set_field(self, "Ts", float(self.Ts))
         set_field(self, "t0", float(self.t0))
         set_field(self, "provenance", tuple(self.provenance))
-        set_field(self, "clock", self.clock or _clock_of(self))
+        if not self.clock:
+            object.__delattr__(self, "clock")  # named when it is first asked for
+
+    if not TYPE_CHECKING:  # as an attribute that any name may be, for a type checker
+
+        def __getattr__(self, name: str) -> str:
+            """The clock of samples that come from nowhere, which takes a digest of them all."""
+            if name != "clock":
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            clock = _clock_of(self)
+            object.__setattr__(self, name, clock)
+            return clock
 
     # ------------------------------------------------------------------ reading it
 
