@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike
 from casid.argument_types import methods_name_wrong_types
 from casid.arrays import Array, BoolArray, FloatArray
 from casid.data.record_methods import RecordMethods
-from casid.errors import DataError
+from casid.errors import DataError, nearest
 from casid.model.quantities import count_text, window_text
 from casid.model.units import parse_unit, si_unit, to_si
 from casid.pickling import PickledByFields
@@ -166,11 +165,9 @@ class Record(RecordMethods, Presented, PickledByFields):
 
     def _require(self, channel: str) -> None:
         if channel not in self.channels:
-            near = difflib.get_close_matches(str(channel), self.names, n=1, cutoff=0.4)
             raise DataError(
-                f"{self.name}: no channel {channel!r}. "
-                + (f"Did you mean {near[0]!r}? " if near else "")
-                + f"It holds {', '.join(self.names)}."
+                f"{self.name}: no channel {channel!r}; it holds {', '.join(self.names)}"
+                f"{nearest(str(channel), self.names, is_listed=True)}"
             )
 
     def is_missing(self, channel: str) -> BoolArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
@@ -10,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from casid.data.problem import Problem
 from casid.diagnosis.solvers import EXACT
 from casid.diagnosis.thresholds import BUDGET
-from casid.errors import DataError
+from casid.errors import DataError, nearest
 from casid.estimation.simulation.fit import FitSettings
 from casid.model.effects.effect import KINDS
 from casid.model.effects.user_effects import user_effects
@@ -99,9 +98,7 @@ def require_settings(
     kinds = sorted(KINDS | {e.kind for e in user_effects(problem.model, problem.effects)})
     for kind in without:
         if kind not in kinds:
-            near = difflib.get_close_matches(kind, kinds, 1)
             raise DataError(
-                f"without {kind!r}: there is no such kind"
-                + (f"; did you mean {near[0]!r}?" if near else "")
-                + f" There are {', '.join(kinds)}"
+                f"without {kind!r}: there is no such kind; there are {', '.join(kinds)}"
+                f"{nearest(kind, kinds, is_listed=True)}"
             )

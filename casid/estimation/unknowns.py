@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -10,7 +9,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import ModelError, SolveError
+from casid.errors import ModelError, SolveError, nearest
 from casid.model.model import Model
 
 T = TypeVar("T")
@@ -196,10 +195,10 @@ def refuse_strangers(model: Model, names: Sequence[str], given: Mapping[str, flo
             )
         like = (f"{name}(", f"{name}@")  # x(0), x(0)@run
         near = [n for n in names if f"({name})" in n or n.startswith(like)]  # var(y)
-        near += difflib.get_close_matches(name, names, 1, 0.4)
+        hint = f"; did you mean {near[0]!r}?" if near else nearest(name, names, is_listed=True)
         raise ModelError(
             f"{what}which is not a variable; there are {', '.join(names)}"
-            + (f"; did you mean {near[0]!r}?" if near else "; leave it out")
+            + (hint or "; leave it out")
         )
 
 

@@ -8,7 +8,6 @@ included; the signals are whatever is measured, known or estimated with.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
 from casid.linear.filters import Filter, as_filter, require_stable
 from casid.unknown_inputs.limits.linear_expressions import as_expression, is_symbolic, linear_terms
 
@@ -367,10 +366,10 @@ def _sample_time(Ts: Any) -> float:
 
 def _require_known(name: Any, known: Any, where: str) -> None:
     if name not in known:
-        near = difflib.get_close_matches(str(name), [str(k) for k in known], 1)
-        hint = f" Did you mean {near[0]}?" if near else ""
+        names = [str(k) for k in known]
         raise ModelError(
-            f"{where}: {name!r} is not known there; known are {', '.join(map(str, known))}.{hint}"
+            f"{where}: {name!r} is not known there; known are {', '.join(names)}"
+            f"{nearest(str(name), names, is_listed=True)}"
         )
 
 

@@ -103,7 +103,7 @@ def test_refusals_say_what_to_do():
         excitation_orders(record(u=T), max_order=0)
     with pytest.raises(DataError, match="give a standard deviation, or leave it out"):
         excitation_orders(record(u=T), noise={"u": -1.0})
-    with pytest.raises(DataError, match="Did you mean 'speed'"):
+    with pytest.raises(DataError, match="did you mean 'speed'"):
         excitation_orders(record(speed=T), ["sped"])
 
 

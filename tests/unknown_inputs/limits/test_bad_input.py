@@ -147,7 +147,7 @@ def test_a_signal_that_is_no_sum_of_filtered_sources_is_refused(definition: Any,
 
 def test_names_are_told_apart_and_near_ones_suggested() -> None:
     system = LinearSignals.of({"u_K": "w", "y": "u_K + e"}, WHITE)
-    with pytest.raises(ModelError, match=r"'u_k' is not known there.*Did you mean u_K\?"):
+    with pytest.raises(ModelError, match=r"'u_k' is not known there.*did you mean 'u_K'\?"):
         regression_limit(system, Regression("y", {"b": "u_k"}))
     with pytest.raises(
         ModelError, match="signal y is there already; give the new one another name"
