@@ -109,7 +109,8 @@ def diagnose(
     Raises
     ------
     DataError, ModelError, IdentifiabilityError, SolveError
-        As `identify`; also for settings that mean nothing.
+        As `identify`; also for settings that mean nothing, and for a term that probably has the
+        wrong sign: no effect follows a record where that makes the model unstable.
 
     Notes
     -----

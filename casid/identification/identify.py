@@ -77,7 +77,8 @@ def identify(
         cannot be removed and the problem has an `external` signal, it is by instruments. Of an
         unstable model that is pushed at random it is with the disturbances, by prediction error,
         and `evidence` says so under "disturbances". Where the
-        fit is poor, `suspects` names a channel that was probably recorded with the wrong sign.
+        fit is poor, `suspects` names a channel that was probably recorded with the wrong sign, or a
+        term that makes the model unstable by its sign.
 
     Raises
     ------

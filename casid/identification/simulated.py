@@ -26,6 +26,7 @@ from casid.identification.approach import approach
 from casid.identification.problem_notes import problem_notes
 from casid.identification.reference_instruments import instrumented
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
+from casid.identification.signs_of_terms import WrongTerm
 from casid.identification.sized_noise import fitted_in_sizes, sized_noise_text
 from casid.identification.task import Task
 from casid.identification.unstable import InWindows, fit_in_segments
@@ -74,10 +75,11 @@ def identify_simulated(task: Task, unstable: InWindows | None) -> Estimate:
     return replace(estimate, trust=trust)
 
 
-def _fit(task: Task, unstable: InWindows | None) -> tuple[Fit, WrongSign | None]:
-    """The fit, and where it is poor a channel that was probably recorded with the wrong sign."""
+def _fit(task: Task, unstable: InWindows | None) -> tuple[Fit, WrongSign | WrongTerm | None]:
+    """The fit, and where it is poor a channel, or a term, that probably has the wrong sign."""
     problem, experiments, settings = task.problem, task.split.fitted, task.settings
-    if unstable is not None:
+    wrong = None if unstable is None else unstable.wrong
+    if unstable is not None and wrong is None:
         in_segments = fit_in_segments(task, unstable)
         if in_segments is not None:
             return in_segments, None
@@ -90,11 +92,15 @@ def _fit(task: Task, unstable: InWindows | None) -> tuple[Fit, WrongSign | None]
             raise
         fit = error.found
     except (IdentifiabilityError, SolveError) as error:
+        if wrong is not None:
+            raise type(error)(f"{wrong}. As written: {error}") from error
         suspect = wrong_sign(problem, experiments, settings) if task.is_free else None
         if suspect is None:
             raise
         raise type(error)(f"{suspect}. As recorded: {error}") from error
     task.undone.add(*fit.not_done)
+    if wrong is not None:
+        return fit, wrong
 
     def suspected() -> WrongSign | None:
         """A channel of the wrong sign, sought only where the fit is poor."""

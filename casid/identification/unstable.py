@@ -17,6 +17,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.short_windows import short_windows, tried, windowed_records
 from casid.identification.signs_from_simulation import is_poor
+from casid.identification.signs_of_terms import WrongTerm, wrong_term
 from casid.identification.task import Task
 
 
@@ -30,12 +31,14 @@ class InWindows:
     is_disturbed : whether simulations over a window err by more than white noise.
     segments : into which a record is to be divided for multiple shooting.
     whole : the poor fit of whole records; None where there is none.
+    wrong : terms that make the model unstable by a wrong sign; it is not fitted in windows then.
     """
 
     values: dict[str, float]
     is_disturbed: bool
     segments: int
     whole: Fit | None
+    wrong: WrongTerm | None = None
 
 
 def unstable_in_windows(task: Task) -> InWindows | None:
@@ -54,6 +57,10 @@ def unstable_in_windows(task: Task) -> InWindows | None:
     whole = tried(model, experiments, once, task.start)
     if whole is not None and not is_poor(whole):
         return None
+    task.say("the fit is poor: negate each term in turn")
+    wrong = wrong_term(model, experiments, settings, whole)
+    if wrong is not None:
+        return InWindows({}, False, segments, whole, wrong)
     windows = short_windows(criterion, settings, task.say, task.start)
     cut = windowed_records(experiments, windows.samples)
     fit = tried(model, cut, once, windows.values)

@@ -39,7 +39,13 @@ from casid.diagnosis.evidence.whitening.robust_errors import std_error
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import STEPS_IN_GAPS
-from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
+from casid.errors import (
+    CasidError,
+    IdentifiabilityError,
+    ModelError,
+    OutOfTimeError,
+    SolveError,
+)
 from casid.estimation.holdout import Split, holding_out_less, holding_out_measured
 from casid.estimation.simulation.fit import (
     FitSettings,
@@ -159,6 +165,8 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     split, little = holding_out_measured(split, list(problem.model.outputs))
     say("fit the model as it is")
     windows = records_in_windows(problem.model, split, settings.fit, say)
+    if windows.wrong is not None:
+        raise ModelError(f"{problem.name}: {windows.wrong}")
     split = windows.split
     fit, negated, sizes = _with_signs_as_recorded(problem, split, settings, windows.start)
     as_recorded: Fit | None = None

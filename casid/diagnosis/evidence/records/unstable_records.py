@@ -28,6 +28,7 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INSTABILITY
 from casid.identification.short_windows import short_windows, tried, windowed_records
 from casid.identification.signs_from_simulation import is_poor
+from casid.identification.signs_of_terms import WrongTerm, wrong_term
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
 
@@ -41,11 +42,13 @@ class RecordsInWindows:
     split : the records, cut into windows where the model is unstable.
     note : on the windows; empty where there are none.
     start : variable -> value that a fit in short windows found; empty without one.
+    wrong : terms that make the model unstable by a wrong sign; there are no windows then.
     """
 
     split: Split
     note: str = ""
     start: Mapping[str, float] = field(default_factory=dict)
+    wrong: WrongTerm | None = None
 
 
 def records_in_windows(
@@ -63,6 +66,10 @@ def records_in_windows(
     whole = tried(model, split.fitted, replace(settings, starts=1), is_trial=True)
     if whole is not None and not (is_poor(whole) or _runs_away(whole, split)):
         return RecordsInWindows(split)
+    say("the fit is poor: negate each term in turn")
+    wrong = wrong_term(model, split.fitted, settings, whole)
+    if wrong is not None:
+        return RecordsInWindows(split, wrong=wrong)
     windows = short_windows(criterion, settings, say)
     criterion = criterion.of_records(split.fitted, start=windows.values)
     seconds = quantity_text(windows.samples * criterion.data[0].Ts, "s")
