@@ -58,7 +58,9 @@ def export(
 ) -> None:
     """Export a fitted model, with its causes, and its parameters at the estimates.
 
-    RESULT is the folder that casid identify or casid diagnose wrote, or a saved result.
+    RESULT is the folder that casid identify or casid diagnose wrote, or a saved result. Beside C
+    stands a header, and beside a CasADi function a JSON file, with sample time, initial state,
+    names and units.
 
     Example: casid export reports/pendulum-1 --as modelica --out Pendulum.mo
     """

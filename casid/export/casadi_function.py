@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from casid.errors import ModelError, nearest
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.delayed_outputs import delayed
 from casid.export.late_inputs import acting_late
-from casid.export.naming import checked_path
+from casid.export.naming import checked_path, written_by
 from casid.export.plain_model import PlainModel, Symbols, expressions, plain_model
 from casid.model.identifiers import identifier
 
@@ -41,9 +42,7 @@ def casadi_function(
     ModelError
         If a name is no parameter of the equations, or an input is a function of the user's.
     """
-    return function_of(
-        plain_model(fitted, what="a CasADi function", without_delays=without_delays), parameters
-    )
+    return function_of(_plain(fitted, without_delays=without_delays), parameters)
 
 
 def function_of(plain: PlainModel, parameters: Sequence[str]) -> Any:
@@ -98,8 +97,42 @@ def _with_delays(plain: PlainModel, s: Symbols, results: Sequence[Any], past: An
 
 
 def write_casadi(fitted: FittedModel, path: Path, *, without_delays: bool = False) -> Path:
-    """Write the function to a file; ``casadi.Function.load`` reads it."""
-    function = casadi_function(fitted, without_delays=without_delays)
+    """Write the function to a file, and beside it what `call_values` gives, as JSON.
+
+    ``casadi.Function.load`` reads the function.
+    """
+    plain = _plain(fitted, without_delays=without_delays)
     path = checked_path(path, "casadi")
-    function.save(str(path))
+    function_of(plain, ()).save(str(path))
+    beside = path.with_name(f"{path.name}.json")
+    beside.write_text(json.dumps(call_values(fitted, plain), indent=1) + "\n", encoding="utf-8")
     return path
+
+
+def call_values(fitted: FittedModel, plain: PlainModel) -> dict[str, Any]:
+    """What the function is called with, in its own order and SI units.
+
+    Sample time Ts [s] of a step and time t0 of the first sample [s]; states with their units and
+    where the first fitted record began, inputs and outputs with their units, the values that the
+    parameters have in it, and how many zeros `past` begins with, where something is delayed.
+    """
+    initial = dict(zip(plain.states, plain.x0.tolist(), strict=True))
+    values = dict(zip(plain.parameters, plain.p.tolist(), strict=True))
+    return {
+        "name": plain.name,
+        "written_by": written_by(),
+        "Ts": plain.Ts,
+        "t0": fitted.records[0].t0,
+        "x": [{"name": n, "unit": plain.unit(n), "initial": initial[n]} for n in plain.states],
+        "u": [{"name": n, "unit": plain.unit(n)} for n in plain.inputs],
+        "y": [{"name": n, "unit": plain.unit(n)} for n in plain.outputs],
+        "parameters": [
+            {"name": n, "unit": plain.unit(n), "value": values[n]} for n in plain.parameters
+        ],
+        "past": plain.memory_size,
+        "notes": list(plain.notes),
+    }
+
+
+def _plain(fitted: FittedModel, *, without_delays: bool) -> PlainModel:
+    return plain_model(fitted, what="a CasADi function", without_delays=without_delays)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import casadi as ca
@@ -10,8 +11,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from casid.errors import ModelError
+from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import write_casadi
-from tests.support.fitted_models import Simulated, assert_same, extended_pendulum
+from tests.support.fitted_models import (
+    Simulated,
+    assert_same,
+    delayed_pendulum,
+    extended_pendulum,
+)
 
 
 def test_the_function_goes_the_steps_of_the_fit(run: Simulated) -> None:
@@ -47,3 +54,26 @@ def test_the_function_is_kept_in_a_file(tmp_path: Path) -> None:
     loaded = ca.Function.load(str(write_casadi(fitted, tmp_path / "pendulum.casadi")))
     wanted = fitted.to_casadi()
     assert_allclose(loaded(x=[0.1, 0.2], u=0.3)["dx"], wanted(x=[0.1, 0.2], u=0.3)["dx"], rtol=0)
+
+
+@pytest.mark.parametrize(
+    "fitted", [extended_pendulum(), delayed_pendulum(2.3)], ids=["at once", "delayed"]
+)
+def test_the_files_alone_simulate_as_the_fitted_model(fitted: FittedModel, tmp_path: Path) -> None:
+    """What stands beside the function says where it begins, and what goes in and comes out."""
+    path = write_casadi(fitted, tmp_path / "pendulum")
+    function, beside = ca.Function.load(str(path)), json.loads(Path(f"{path}.json").read_text())
+    u = 0.1 * np.cumsum(np.random.default_rng(3).standard_normal(200))
+    x, past = [each["initial"] for each in beside["x"]], np.zeros(beside["past"])
+    outputs = []
+    for k, (now, later) in enumerate(zip(u, [*u[1:], u[-1]], strict=True)):
+        memory = {"past": past} if beside["past"] else {}
+        step = function(x=x, u=now, u_next=later, t=beside["t0"] + k * beside["Ts"], **memory)
+        outputs.append(float(step["y"]))
+        x, past = step["x_next"], step.get("past_next")
+    wanted = fitted.simulate({"accel": u}, Ts=beside["Ts"])
+    assert_allclose(outputs, wanted["gyro"], rtol=0, atol=1e-12)
+    assert [(each["name"], each["unit"]) for each in beside["u"]] == [("accel", "m/s^2")]
+    assert [(each["name"], each["unit"]) for each in beside["y"]] == [("gyro", "rad/s")]
+    values = {each["name"]: each["value"] for each in beside["parameters"]}
+    assert values["k"] == fitted.si_values["k"]
