@@ -103,6 +103,7 @@ def profile_likelihood(
         planned.criterion.names,
         planned.noise.sd,
         planned.noise.source,
+        planned.noise.unit,
     )
 
 
@@ -246,6 +247,7 @@ class _Profiled:
             path,
             kind,
             "; ".join(notes),
+            self.planned.declared(place),
         )
 
     def _newly_bound(self, path: Array, lowest: int, place: int) -> Array:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from casid.arrays import Array
 from casid.data.files import plain_fields
 from casid.errors import UnknownNameError
+from casid.model.units import difference_from_si, from_si
 from casid.presentation import Viewed, present
 
 Kind = Literal["identifiable", "practically non-identifiable", "flat"]
@@ -39,6 +40,8 @@ class ProfileLikelihood:
     kind : "identifiable" (both ends found), "practically non-identifiable" (open on one side or
         both), or "flat" (nothing was lost anywhere: structurally non-identifiable).
     note : how far an open side was followed, and what stopped it.
+    declared : the unit that it was declared in, and that tables and figures show it in; that of SI
+        by default.
     """
 
     name: str
@@ -52,16 +55,29 @@ class ProfileLikelihood:
     path: Array
     kind: Kind
     note: str = ""
+    declared: str = ""
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit that tables and figures show it in."""
+        return self.declared or self.unit
+
+    @property
+    def shown(self) -> tuple[float, float, float]:
+        """The estimate and both ends in the unit shown."""
+        best, lower, upper = from_si([self.best, self.lower, self.upper], self.shown_unit).tolist()
+        return best, lower, upper
 
     def __repr__(self) -> str:
+        best, lower, upper = self.shown
         return (
-            f"<ProfileLikelihood {self.name}: {self.kind}, {self.best:.6g} in "
-            f"{self.lower:.6g} to {self.upper:.6g}>"
+            f"<ProfileLikelihood {self.name}: {self.kind}, {best:.6g} in "
+            f"{lower:.6g} to {upper:.6g} {self.shown_unit}>"
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; an open end is None."""
-        return plain_fields(self, leave_out=["path"])
+        """Plain values in SI units; an open end is None."""
+        return plain_fields(self, leave_out=["path", "declared"])
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -71,7 +87,8 @@ class Profiles(Viewed):
     Attributes
     ----------
     names : variables of each profile's `path`.
-    noise : output -> standard deviation the deviance is counted in; `noise_source` says whence.
+    noise : output -> standard deviation the deviance is counted in, SI; `noise_source` says whence.
+    noise_units : output -> unit that it is shown in.
     """
 
     problem: str
@@ -81,6 +98,7 @@ class Profiles(Viewed):
     names: tuple[str, ...]
     noise: Mapping[str, float]
     noise_source: Mapping[str, str]
+    noise_units: Mapping[str, str]
     assumes: str = ASSUMES
     sources: tuple[str, ...] = SOURCES
 
@@ -105,17 +123,23 @@ class Profiles(Viewed):
             f"{100 * self.confidence:g} % intervals"
         ]
         for p in self.profiles:
+            best, lower, upper = p.shown
             lines.append(
-                f"  {p.name}  {p.best:.6g} {p.unit}  {_end(p.lower)} to {_end(p.upper)}  {p.kind}"
+                f"  {p.name}  {best:.6g} {p.shown_unit}  {_end(lower)} to {_end(upper)}  {p.kind}"
                 + (f" ({p.note})" if p.note else "")
             )
-        lines += [f"  noise  {n} {sd:.3g} ({self.noise_source[n]})" for n, sd in self.noise.items()]
+        for name, sd in self.noise.items():
+            unit = self.noise_units[name]
+            size = f"{float(difference_from_si(sd, unit)):.3g} {unit}".removesuffix(" 1")
+            lines.append(f"  noise  {name} {size} ({self.noise_source[name]})")
         lines.append(f"  The interval assumes {self.assumes}")
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {"schema": "casid.profiles/1"} | plain_fields(self, leave_out=["names"])
+        return {"schema": "casid.profiles/1"} | plain_fields(
+            self, leave_out=["names", "noise_units"]
+        )
 
     def plot(self) -> Any:
         """Plotly figure: deviance against each parameter, with the threshold of the interval."""

@@ -6,6 +6,7 @@ from typing import Any
 
 from casid.identifiability.records.profile_result import Profiles
 from casid.identification.profile_interval import Profile
+from casid.model.units import from_si
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, BEFORE, axis_text, visible_text
 
@@ -17,7 +18,7 @@ def profiles_figure(profiles: Profiles) -> Any:
     for k, p in enumerate(profiles.profiles):
         panel.line(
             k,
-            p.grid,
+            from_si(p.grid, p.shown_unit),
             p.deviance,
             "deviance",
             AFTER,
@@ -26,8 +27,8 @@ def profiles_figure(profiles: Profiles) -> Any:
             hovertemplate="%{x:.5g}: %{y:.3g}<extra></extra>",
         )
         panel.mark(k, y=p.threshold, line_dash="dash", line_color=BEFORE)
-        panel.mark(k, x=p.best, line_dash="dot", line_width=1)
-        panel.label(k, x=axis_text(p.name, p.unit), y="deviance")
+        panel.mark(k, x=p.shown[0], line_dash="dot", line_width=1)
+        panel.label(k, x=axis_text(p.name, p.shown_unit), y="deviance")
         panel.y_range(k, [0.0, 2.5 * p.threshold])
     kinds = "; ".join(f"{visible_text(p.name)} {p.kind}" for p in profiles.profiles)
     return panel.done(

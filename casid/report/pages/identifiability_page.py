@@ -284,8 +284,9 @@ def _profiles(a: Assessment) -> Table | None:
         return None
     rows = []
     for q in a.profiles:
-        ends = (number_text(q.lower), number_text(q.upper))
-        rows.append((Code(q.name), q.unit, value_text(q.best), *ends, q.kind))
+        best, lower, upper = q.shown
+        ends = (number_text(lower), number_text(upper))
+        rows.append((Code(q.name), q.shown_unit, value_text(best), *ends, q.kind))
     head = ("parameter", "unit", "best", "lower", "upper", "kind")
     caption = f"Profile likelihood, {100 * a.profiles.confidence:g} % intervals"
     return Table(head, rows, numbers=(2, 3, 4), caption=caption)

@@ -49,6 +49,25 @@ def test_the_profile_of_a_linear_model_is_the_parabola_of_its_standard_error():
         np.testing.assert_allclose(p.path[:, other], expected, atol=1e-3 * sd[other])
 
 
+def test_profiles_are_shown_in_the_units_that_the_model_declares_and_kept_in_si():
+    m = casid.Model("decay")
+    x, tau = m.state("x", "m", start=1.0), m.parameter("tau", "min", start=0.1, lower=0.01)
+    m.derivative(x, -x / tau)
+    m.output("y", x, "mm")
+    _, record = exponential(6.0, p=0.1)
+    found = profile_likelihood(m, record, noise={"y": 50.0}, settings=ONE)
+    p = found["tau"]
+    assert p.shown == pytest.approx((p.best / 60, p.lower / 60, p.upper / 60))
+    shown = str(found)
+    assert f"tau  {p.best / 60:.6g} min  {p.lower / 60:.6g} to {p.upper / 60:.6g}" in shown
+    assert "noise  y 50 mm" in shown
+    (panel,) = found.plot().data
+    np.testing.assert_allclose(panel.x, p.grid / 60)
+    assert found.plot().layout.xaxis.title.text == "tau [min]"
+    content = found.to_json()["profiles"][0]
+    assert (content["unit"], content["best"]) == ("s", p.best)
+
+
 def test_a_wider_confidence_gives_a_wider_interval():
     model, record = exponential(6.0)
     narrow, wide = (
