@@ -185,6 +185,12 @@ def test_what_the_assessment_knows_stands_in_the_text(mixing, gains, swing, forc
             assert words in text(assessment)
 
 
+def test_the_table_of_expected_errors_says_what_an_initial_state_is_relative_to(gains):
+    said = "elative: the standard error over the value; of an initial state, over the rms"
+    for shown in (str(gains), page_of(gains)):
+        assert said in " ".join(shown.split())
+
+
 def test_figures_are_drawn_of_what_records_give_and_of_nothing_else(mixing, gains, swing):
     assert mixing.plot() == {}
     assert set(gains.plot()) >= {"errors"}

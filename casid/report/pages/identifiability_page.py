@@ -28,7 +28,7 @@ from casid.report.figures.identifiability import figures
 from casid.report.numbers import number_text, value_text
 from casid.report.pages.estimate_parts import notice, provenance
 from casid.report.texts.assessment import family_lines, group_words, verdict_words
-from casid.report.texts.identifiability import practical_table
+from casid.report.texts.identifiability import RELATIVE, practical_table
 
 _LISTED = 60  # fixing sets in the table
 _OPEN = ("", "Parameters", "Identifiable combinations", "Remedies")  # in a notebook
@@ -274,6 +274,7 @@ def _practical(a: Assessment) -> list[Part]:
         return []
     return [
         practical_table(p),
+        f"{RELATIVE.capitalize()}.",
         Bullets([f"weakest: {d}" for d in p.weakest[:3]]),
         f"The error bars assume {p.assumes}.",
     ]

@@ -23,6 +23,7 @@ def practical_document(found: Practical) -> Document:
     """Expected errors of every parameter and initial state, and the weakest combinations."""
     parts: list[str | Labelled | Table] = [
         practical_table(found),
+        f"  {RELATIVE}",
         (
             "sensitivities",
             f"rank {found.rank} of {found.unknowns}, condition {found.condition:.3g}",
@@ -50,6 +51,13 @@ def practical_document(found: Practical) -> Document:
         parts,
         label=15,
     )
+
+
+RELATIVE = (
+    "relative: the standard error over the value; of an initial state, over the rms of the state "
+    "in the records where that is more"
+)
+"""What a column of `practical_table` has."""
 
 
 def practical_table(found: Practical) -> Table:
