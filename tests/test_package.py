@@ -193,6 +193,16 @@ def test_public_names_are_there_and_say_what_they_are(name: str) -> None:
     assert len(inspect.getdoc(value) or "") > 20
 
 
+FUNCTIONS = [name for name in casid.__all__ if inspect.isfunction(getattr(casid, name))]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_help_of_a_public_function_names_every_parameter(name: str) -> None:
+    function = getattr(casid, name)
+    words = set(re.findall(r"\w+", inspect.getdoc(function) or ""))
+    assert not set(inspect.signature(function).parameters) - words
+
+
 def test_public_functions_stay_functions_when_their_modules_load() -> None:
     """No submodule has the name of a public function, so loading one cannot hide it."""
     program = (

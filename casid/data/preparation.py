@@ -32,6 +32,14 @@ def lowpass(
     Parameters and errors as `equiripple` and `FirFilter.apply`. The filter is not causal: it
     belongs before an estimation, on outputs, inputs and instruments alike, not into a loop.
 
+    Parameters
+    ----------
+    record : sampled at Ts.
+    cutoff_hz : end of the pass band [Hz].
+    stop_hz : start of the stop band [Hz]; by default as near as the order allows.
+    order : even; the number of taps less one.
+    edges : "trim" leaves out what has no samples on both sides, "reflect" continues the record.
+
     Returns
     -------
     Record
@@ -81,6 +89,11 @@ def detrend(record: Record, order: int = 0) -> Record:
     """Subtract the mean (order 0) or the least-squares straight line (order 1) of every channel.
 
     Missing samples take no part in the fit.
+
+    Parameters
+    ----------
+    record : of which every channel is detrended.
+    order : 0 or 1.
 
     Raises
     ------

@@ -468,6 +468,10 @@ def load_problem(path: str | Path) -> Problem:
 
     The file defines `problem = casid.Problem(...)`, or a function `problem()` that returns one.
 
+    Parameters
+    ----------
+    path : of the Python file.
+
     Raises
     ------
     DataError

@@ -78,6 +78,7 @@ def diagnose(
 
     Parameters
     ----------
+    problem : the model and its channels.
     experiments : records in the problem's channels (SI), or DataFrames with its columns; default
         the problem's own example. A cause has to explain all of them with one size, or is reported
         with the size of each record.
@@ -94,6 +95,8 @@ def diagnose(
     budget : seconds that the diagnosis may take; what no time is left for is listed in `not_done`,
         and the verdict is "undecided" where that leaves it open. Default 600, and for `calibrate`
         what it takes.
+    solver, starts, seed : of every fit of the whole model: Ipopt, the number of starts that the
+        problem states, and the seed of those that are drawn, by default.
     progress : called with a line of text at every step.
 
     A channel that was probably recorded with the wrong sign is named first, as `sensor_scale`, and

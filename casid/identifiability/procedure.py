@@ -82,6 +82,7 @@ def assess_identifiability(
     experiments : records with their load cases, of a problem or model; default the problem's own
         example. They determine which values are known in each, and which inputs are zero or
         constant; their samples matter to the practical part alone.
+    assuming : replicas, shared inputs, and what is known in addition to what the subject says.
     candidates : sensors, experiments or known parameters to choose the cheapest remedy from.
     degrees : of the polynomials that unknown inputs are also assumed to be.
     exosystems : name -> another source of the unknown inputs, such as a sea of known spectrum:
@@ -93,6 +94,7 @@ def assess_identifiability(
     error_bound : of the structural answer; full rank is a proof.
     time_limit : seconds for the structural answer; the proven part is returned.
     seed : of random points.
+    progress : called with a line of text at every step.
 
     Raises
     ------

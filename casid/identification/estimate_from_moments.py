@@ -43,6 +43,7 @@ def estimate_from_moments(
 
     Parameters
     ----------
+    problem : whose model has no unknown inputs left (`Model.eliminate`).
     sums : name of a load case -> its moments; records of one load case are added beforehand. The
         channels are those of the model and of the instruments, in SI units, with lags at least up
         to the order of the difference equation and of the instruments.

@@ -53,6 +53,7 @@ def identify(
         the values known for it alone; default the problem's own example. Unknown parameters are
         shared unless `settings.own`.
     hold_out : share of each record, at its end, or whole records, used for validation only.
+    settings : of the fit: number of starts, solver, seed, constraints; `FitSettings`.
     start : start values by variable name, over the model's own, in the units that it declares.
     budget : seconds that the estimate may take; by default from the number of samples and unknowns
         (`FIT_BUDGET`), profiles not requested a part of it. What no time is left for is in
@@ -64,6 +65,7 @@ def identify(
     disturbances : as "torque:peak": in a balance, a state or an input that nobody measures;
         "white", "first" (order) or "peak"; by the prediction error of a Kalman filter. What is held
         out is then predicted one sample ahead; no interval is bootstrapped.
+    progress : called with a line of text at every step.
 
     Returns
     -------

@@ -40,6 +40,10 @@ def least_squares(
     a start for the others, and a measure of the benefit of instruments. Parameters and errors as
     `instrumental_variables`; where the records are not excited, which instruments refuse, the
     estimate has a warning.
+
+    Parameters
+    ----------
+    problem, experiments, free, settings : as in `instrumental_variables`.
     """
     stages = [StageSpec(free or ())]
     return _estimate(StagedEstimation(problem, stages, settings=settings), experiments)
@@ -64,6 +68,7 @@ def instrumental_variables(
     instruments : the external reference, and the lags.
     free : parameters to estimate; default those that the model declares unknown.
     prior : known values with their uncertainty, which is propagated.
+    settings : of the programs that are solved; `MomentSettings`.
 
     Returns
     -------
@@ -98,6 +103,7 @@ def multistage(
 
     Parameters
     ----------
+    problem, experiments, prior, settings : as in `instrumental_variables`.
     stages : in order; by default each is solved in the linear form.
     instruments : None: least squares.
 

@@ -143,6 +143,11 @@ def profile(estimate: MomentEstimate, name: str, *, level: float = 0.95) -> Prof
     with one degree of freedom at the true value. With several outputs of one record their
     correlation is left out here.
 
+    Parameters
+    ----------
+    estimate : with the parameter `name`, by moments.
+    level : of confidence.
+
     Raises
     ------
     ModelError

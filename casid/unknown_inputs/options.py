@@ -146,6 +146,8 @@ def compare_unknown_input_options(
     process : process noise that every option has (estimated from its start).
     truth : parameter -> true value, where data are simulated.
     options : which of `OPTIONS`, one or several (default all that the records allow).
+    solver : of every fit, a `Solver`.
+    progress : called with a line of text at every option.
 
     Returns
     -------

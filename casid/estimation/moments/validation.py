@@ -98,6 +98,7 @@ def validate(
     ----------
     model : the indirect model; `values` of all its parameters in their units, the records' load
         cases win.
+    experiments : records that were not fitted, each with its load case.
     instruments : names the reference and F_delta; its lags do not matter here.
     method : ``"bilinear"`` is the loop that the estimate was made with; ``"foh"`` samples the
         continuous system exactly where the reference runs straight between samples. With few

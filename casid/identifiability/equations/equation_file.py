@@ -43,6 +43,10 @@ class EquationFile:
 def read_equations(path: str | Path) -> EquationFile:
     """Read a JSON or TOML equation file; its fields are those of `equations`.
 
+    Parameters
+    ----------
+    path : of the file, .json or .toml.
+
     Raises
     ------
     DataError

@@ -59,8 +59,10 @@ def profile_likelihood(
 
     Parameters
     ----------
+    experiments : records with their load cases; default the problem's own example.
     parameters : names of unknowns ("k", "phi(0)"); default every unknown parameter.
     points : most values tried on each side of the estimate.
+    confidence : of the intervals.
     noise : output -> standard deviation; default that of the problem, else the residual's at the
         best fit.
     at : where the first fit starts; default the declared starts.

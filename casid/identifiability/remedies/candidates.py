@@ -61,8 +61,11 @@ def sensor(
 
     Parameters
     ----------
+    name : of the output.
     formula : such as ``"z_s*phidd + g*sin(phi)"``, read by `casid.model.expressions.parse` with the
         system's symbols, or an SX expression of symbols of the same names.
+    cost : as in `replica`.
+    experiments : those that have it; default all with its symbols.
     """
     return Candidate("sensor", name, cost, formula=formula, experiments=tuple(experiments))
 
@@ -97,6 +100,10 @@ def known_initial_state(
     """The state's initial value is known, in every experiment that has it (or in those named).
 
     `cost` as in `replica`.
+
+    Parameters
+    ----------
+    experiments : those in which it is known; default all that have it.
     """
     return Candidate("known initial state", state, cost, experiments=tuple(experiments))
 

@@ -51,6 +51,7 @@ def observability_matrix(
         most nx + n_theta - 1: where one more adds nothing, none ever will, because the span of the
         rows is then closed under (1). (Inputs must be free: this holds at almost every point.)
     limit_seconds : time after which the system is refused as too large; checked between steps.
+    seed : of the random points that the rank is evaluated at.
 
     Raises
     ------

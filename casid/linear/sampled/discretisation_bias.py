@@ -78,6 +78,7 @@ def bias_table(
 
     Parameters
     ----------
+    model : in continuous time; a `Model`, or the `LinearModel` of one.
     Ts : sample times [s], or a single one.
     free : the parameters that are estimated, or the name of a single one.
     values : true values of the unknown parameters; known ones have their own unless given here.

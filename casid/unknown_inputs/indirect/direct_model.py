@@ -109,9 +109,9 @@ def direct_model(
 
     Parameters
     ----------
-    G_OK .. H_D : blocks of (4.3)-(4.5), each anything `transfer_matrix`
-        reads: one function, rows of them, a `control` object, sympy or CasADi. A block that is not
-        given is zero; H_X that are not given have no noise.
+    G_OK, G_OI, G_OD, H_O, G_IK, G_II, G_ID, G_IA, H_I, G_DD, H_D : blocks of (4.3)-(4.5), each
+        anything `transfer_matrix` reads: one function, rows of them, a `control` object, sympy or
+        CasADi. A block that is not given is zero; H_X that are not given have no noise.
     names : "outputs", "known", "indirect", "direct", "additional", "measured_I", "measured_D",
         "noise" -> names of y_O, u_K, u_I, u_D, u_A, y_I, y_D, tau; by default u_K1 and so on.
     Ts, values : sample time [s] and parameter values.

@@ -172,6 +172,7 @@ def indirect_model(
 
     Parameters
     ----------
+    direct : the direct model, from `direct_model`.
     f_II, f_DD : left inverses of G_II and G_DD, if not those that `left_inverse` chooses: proper
         and stable ones where they exist, else such that Gt_OI is, if it can be.
 

@@ -112,6 +112,7 @@ def choose_output(
     noise : measurement -> standard deviation of its white noise (default one).
     wanted : measurements that are to be outputs: to be predicted, say. Both directions are the same
         relation; the inverse model can be estimated directly.
+    Ts, values : sample time [s] and parameter values, as in `direct_model`.
 
     Returns
     -------

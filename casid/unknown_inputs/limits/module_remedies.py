@@ -50,6 +50,7 @@ def compare_module_remedies(
 
     Parameters
     ----------
+    output : the measured signal y.
     inputs : all inputs of the true relation, unknown ones among them.
     orders : of all inputs; where an input is neglected its module is left out. Where C and D
         would cancel (the noise is simpler), both orders are lowered, and a note says so.
@@ -62,6 +63,7 @@ def compare_module_remedies(
         estimators: instrumental variables, whose instruments are the regressors as the references
         make them, for A y = sum B_i u_i (one F may be there, it is the common denominator), and
         two stages, in which the measured input is predicted from the references.
+    solver : of the nonlinear minima, a `Solver`.
 
     Raises
     ------

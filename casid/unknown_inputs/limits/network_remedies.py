@@ -79,6 +79,7 @@ def network_remedies(
     random_starts : of the PEM and two-stage minima, beside zero and the true coefficients where the
         orders hold them. Few references and many coefficients leave several minima: raise it. A
         network of eight nodes takes one to two minutes with all ways, seconds without these two.
+    solver : of the nonlinear minima, a `Solver`.
 
     Returns
     -------

@@ -55,6 +55,7 @@ def two_stage_limit(
 
     Parameters
     ----------
+    output : the measured signal y.
     inputs : name that coefficients carry -> signal of the system.
     references : externals that are known.
     predicted : names of the inputs that are replaced by their prediction; all by default.

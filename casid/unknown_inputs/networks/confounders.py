@@ -81,6 +81,11 @@ def confounders(network: Network, output: Node, inputs: Iterable[Node]) -> tuple
     Whether a signal arrives is decided exactly (`random_equations`), so that what cancels is
     not counted; how it arrives is given as paths past the kept nodes.
 
+    Parameters
+    ----------
+    network : its nodes, modules and sensors.
+    output, inputs : the node and its predictor inputs.
+
     Raises
     ------
     ModelError

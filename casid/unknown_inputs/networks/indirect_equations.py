@@ -94,6 +94,10 @@ def indirect_equations(
     more observations than unknown inputs the first that suffice are used; which of them leave the
     least error: see `casid.unknown_inputs.networks.prediction.observation_choice`.
     `options` as for `eliminate_by_measurement`.
+
+    Parameters
+    ----------
+    sets : of the target, with the observations that are to be used (`node_sets`).
     """
     partial = partially_eliminated(network, sets, **options)
     return immerse(partial, [n for n in partial.nodes if n not in sets.Ut])

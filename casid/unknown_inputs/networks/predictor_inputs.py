@@ -121,6 +121,7 @@ def predictor_inputs(
 
     Parameters
     ----------
+    network : its nodes, modules and sensors.
     target, source : j and i; both have to be measured.
     sensors : nodes to choose from, by default the measured ones.
     without_confounders : whether sets with a confounder are refused, and extended by more inputs.

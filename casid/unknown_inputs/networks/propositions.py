@@ -107,6 +107,7 @@ def proposition_3_1(
 
     Parameters
     ----------
+    network : its nodes, modules and sensors.
     target, source : j and i.
     inputs : predictor inputs, by default K_j, the measured nodes with a module into j. With other
         inputs the conditions are those of Dankers et al. (2016), Proposition 3.
@@ -159,6 +160,7 @@ def proposition_4_1(network: Network, sets: NodeSets, source: Node) -> Verdict:
 
     Parameters
     ----------
+    network : its nodes, modules and sensors.
     sets : of the target, with the observations that are to be used (`node_sets`).
     source : i, one of K_j.
 

@@ -102,6 +102,11 @@ def eliminate_recursively(
 
     Every additional observable node is used once. The field is that of rational functions.
 
+    Parameters
+    ----------
+    network, target : the network and its node j.
+    sensors : measured nodes to use, by default all.
+
     Raises
     ------
     ModelError

@@ -158,7 +158,9 @@ def reference_depends_on(
     lags : of reference and outputs in (1); default by BIC for the reference's own past, up to 40.
         They must reach over the reference's memory: a square wave of fixed period is predicted by
         its own past only if the lags reach over half a period, and by the output before that.
+    level : of significance.
     draws : of the bootstrap; the smallest p-value is 1/(draws + 1).
+    seed : of the bootstrap.
 
     Returns
     -------

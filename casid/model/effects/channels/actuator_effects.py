@@ -159,6 +159,10 @@ def input_backlash(model: Model, channel: str, largest: float, *, least: float =
     follows u - gap upwards and u + gap downwards. It begins where the command begins. The gap is
     at most `largest` (the channel's SI unit), and more than `least`.
 
+    Parameters
+    ----------
+    model, channel : the model and its recorded input.
+
     Raises
     ------
     ModelError

@@ -208,6 +208,10 @@ def sensor_lag(model: Model, channel: str, longest: float) -> Effect:
     A measured input that lags is undone: what acted is u + tau du/dt, with the centred slope of
     the record. To first order in tau a lag is a delay. A lag comes before a delay of the same
     output: the two commute, and a delay between samples cannot shift an output that steps.
+
+    Parameters
+    ----------
+    model, channel : the model and its output, or its measured input.
     """
     p = Parameter(f"lag_{channel}", "s", 0.0, lower=0.0, upper=longest)
     is_output = channel in model.outputs
@@ -269,6 +273,11 @@ def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
     a b other than 0, the effect has no free parameter: an input does the one or the other. In a
     slow model a change between held and straight lines is a delay of half a sample. Where the
     record cannot separate them, the hold is named: a delay of just half a sample is rare.
+
+    Parameters
+    ----------
+    channel : the recorded input.
+    toward : what it does between its samples, "zoh", "foh" or "bandlimited".
 
     Raises
     ------

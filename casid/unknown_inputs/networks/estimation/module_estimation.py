@@ -78,6 +78,7 @@ def estimate_module(
     lags : of the first stage's impulse responses, by default as many as these need; for
         "iv", lags of the references as instruments in place of signals simulated from them.
     prefilter_order : of the noise model that whitens the equation error for "iv"; 0 for none.
+    solver : of the nonlinear minima, a `Solver`.
     accept_bias : estimate although the structure says that the method is not consistent.
 
     Raises

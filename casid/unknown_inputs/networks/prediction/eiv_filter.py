@@ -175,6 +175,7 @@ def eiv_filter(
 
     Parameters
     ----------
+    network, target : the network and its node j.
     sensors, known : as for `node_sets`; or the sets themselves. Of more observations than unknown
         inputs those of least error variance are taken (`observation_choice`), among those to which
         (6.13) applies.
