@@ -42,6 +42,7 @@ def identify(
     budget: float | None = None,
     intervals: str = "auto",
     disturbances: Sequence[Disturbance | str] | str = (),
+    starts: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Estimate:
     """Estimate the unknown parameters and initial states by least-squares simulation error.
@@ -65,6 +66,7 @@ def identify(
     disturbances : as "torque:peak": in a balance, a state or an input that nobody measures;
         "white", "first" (order) or "peak"; by the prediction error of a Kalman filter. What is held
         out is then predicted one sample ahead; no interval is bootstrapped.
+    starts : of the fit, as in `diagnose`; default that of `settings`, or of the problem.
     progress : called with a line of text at every step.
 
     Returns
@@ -121,6 +123,7 @@ def identify(
         hold_out = with_gaps_treated(problem.model, hold_out)
     split = split_records(with_gaps_treated(problem.model, chosen), hold_out)
     settings = settings or FitSettings(starts=problem.starts)
+    settings = settings if starts is None else replace(settings, starts=starts)
     acting = _disturbances(disturbances, settings, intervals)
     say = progress or (lambda _: None)
     if not acting:  # the prediction error has variables of its own, and refuses others itself

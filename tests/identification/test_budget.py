@@ -103,6 +103,15 @@ def test_the_best_point_is_better_than_the_start(record, over_after, clock):
     assert start.value_alone(best) < start.value_alone(start.start)
 
 
+def test_starts_are_given_to_an_estimate_as_to_a_diagnosis(record):
+    """Over the number in the settings, which keep all else."""
+    settings = casid.FitSettings(starts=5, substeps=2)
+    found = casid.identify(
+        roll_decay.problem, record, settings=settings, starts=2, intervals="quick"
+    )
+    assert found.starts_tried == 2
+
+
 def test_of_several_starts_those_that_ended_count(record, clock, monkeypatch):
     from casid.estimation.simulation import minimization
 
