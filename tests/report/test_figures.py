@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import casid
 from casid.diagnosis.advice.isolability import Isolability
 from casid.diagnosis.diagnosis import Ranked
 from casid.diagnosis.verdict.remainder import Moved, what_remains
@@ -93,6 +94,15 @@ def test_simulation_shows_data_as_points_and_both_simulations_as_lines():
     assert list(left_out.x) == [v.t[1234]]
     assert figure.layout.yaxis.title.text == "gyro [rad/s]"
     assert figure.layout.xaxis.title.text == "time [s]"
+
+
+def test_times_of_the_day_have_all_their_digits():
+    """33,382 s, and not 33.4k."""
+    records = samples.deficient(N=1500).records
+    late = casid.Record({"y": np.ones(300)}, {"y": "m"}, 0.1, t0=33382.0)
+    for figure in (late.plot(), simulation_figure(records), residual_time_figure(records)):
+        (named,) = [a for a in figure.select_xaxes() if (a.title.text or "").startswith("time [")]
+        assert named.exponentformat == "none"
 
 
 def test_a_fault_value_that_is_left_out_does_not_flatten_the_readings():

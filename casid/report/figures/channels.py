@@ -34,7 +34,8 @@ def record_figure(record: Record) -> Any:
         own: dict[str, Any] = {"in_legend": False, "hovertemplate": hover_text("s", unit)}
         t, y = record.t[kept], values[kept]
         figure.line(k, t, y, figure_text(name), MEASURED, width=1.2, **own)
-        figure.label(k, x="time [s]" if k == len(shown) - 1 else None, y=axis_text(name, unit))
+        figure.label(k, y=axis_text(name, unit))
+    figure.time_label(len(shown) - 1)
     more = len(record.channels) - len(shown)
     caption = f"Channels of {visible_text(record.name) or 'the record'}" + (
         f"; {more} more" if more else ""
@@ -53,7 +54,8 @@ def validation_figure(validation: Validation, *, seconds: float = 20.0) -> Any:
             ("simulated", validation.simulated, AFTER),
         ):
             figure.line(k, t[shown], source[c.record][c.channel][shown], name, colour, width=1.4)
-        figure.label(k, x="time [s]", y=axis_text(c.channel, c.unit))
+        figure.label(k, y=axis_text(c.channel, c.unit))
+        figure.time_label(k)
     fits = "; ".join(f"{c.channel} in {c.record}, fit {c.fit:.1f} %" for c in validation.channels)
     return figure.done(f"Measured and simulated from the reference: {visible_text(fits)}.", ())
 
@@ -78,5 +80,5 @@ def model_comparison_figure(found: ModelComparison) -> Any:
             i = thinned(y)
             figure.line(k, found.t[i], y[i], label, _OF_MODELS[j % len(_OF_MODELS)], width=1.4)
         figure.label(k, y=axis_text(output, unit))
-    figure.label(rows - 1, x="time [s]")
+    figure.time_label(rows - 1)
     return figure.done(f"{visible_text(found.record)}: measured, and {found.how}.", ())

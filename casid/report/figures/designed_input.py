@@ -47,7 +47,7 @@ def designed_input_figure(found: DesignedExperiment) -> Any:
         figure.band(k, t, np.zeros(len(t)), np.full(len(t), half))
         _line(figure, k, t, gap, "truth minus rival", (FLOOR, "solid"), (unit, limit))
         figure.label(k, y=axis_text(name, unit, "difference of "))
-    figure.label(rows - 1, x="time [s]")
+    figure.time_label(rows - 1)
     figure.figure.update_xaxes(range=[0.0, found.duration])
     caption = "The designed input, and the outputs that it is predicted to give, without noise"
     if len(pairs) == 2:

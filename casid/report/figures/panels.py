@@ -193,6 +193,14 @@ class Panels:
         if y is not None:
             self._axis("y", k, title_text=y)
 
+    def time_label(self, k: int, unit: str = "s") -> None:
+        """Name the time axis of panel k; a time of the day has all its digits, 33,382 and no 33.4k.
+
+        The panels above that share the axis show no numbers.
+        """
+        self.label(k, x=f"time [{unit}]")
+        self._axis("x", k, exponentformat="none")
+
     def x_range(self, k: int, span: list[float]) -> None:
         """Fix the horizontal range of panel k."""
         self._axis("x", k, range=span)

@@ -68,7 +68,7 @@ def simulation_figure(records: Sequence[RecordView]) -> Any:
                     figure.y_range(row, span)
         figure.parts(v, ranges)
     figure.time_range(views[0])
-    figure.label(len(outputs) - 1, x=f"time [{time_unit}]")
+    figure.time_label(len(outputs) - 1, time_unit)
     if cut:
         caption += " The simulation leaves the range of the data: the axis is cut."
     return figure.done(caption + left_out + thinning_note(views, limit), views)
@@ -137,7 +137,7 @@ def residual_time_figure(records: Sequence[RecordView]) -> Any:
                 figure.label(row, y=axis_text(output, unit, "error of "))
         figure.parts(v, time_range(v))
     figure.time_range(views[0])
-    figure.label(len(outputs) - 1, x=f"time [{time_unit}]")
+    figure.time_label(len(outputs) - 1, time_unit)
     caption = of_records("Simulation error, measured minus simulated, against time", views)
     return figure.done(caption + left_out + thinning_note(views, limit), views)
 

@@ -108,7 +108,7 @@ def missing_time_figure(result: Unexplained, record: int = 0) -> Any:
         colour, label = MEASURED if row % 2 else BEFORE, figure_text(name)
         figure.line(row, s.t[i], signals[name][i], label, colour, width=1.1, in_legend=False)
         figure.label(row, y=axis_text(name, best.units.get(name, "")))
-    figure.label(len(names), x="time [s]")
+    figure.time_label(len(names))
     honest = "" if force.is_seen else " It is not estimated better than its noise."
     return figure.done(f"What is missing in {best.place} over time, record {s.name}.{honest}", ())
 
