@@ -159,12 +159,14 @@ class Doubts:
     disagreements : a sentence for each parameter on which the records disagree, the worst first.
     bounds : parameters that the fit holds at a bound, where they decide the verdict; in words.
     poor : outputs that the model explains next to nothing of, each with its fit.
+    held_out : how what was held out contradicts a model that leaves noise of what was fitted.
     """
 
     is_more_than_noise: bool = False
     disagreements: tuple[str, ...] = ()
     bounds: Mapping[str, str] = field(default_factory=dict, hash=False)
     poor: tuple[str, ...] = ()
+    held_out: str = ""
 
     @property
     def said(self) -> str:

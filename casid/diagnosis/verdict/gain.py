@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -210,8 +211,11 @@ def unlike_held_out(
     return ""
 
 
+@functools.lru_cache(maxsize=4)
 def unlike_under_disturbance(at: Weighted, split: Split) -> str:
     """`unlike_held_out` for a model under a disturbance: the innovations are compared.
+
+    Kept for the last models, of which it is asked for the verdict, its reasons and its doubts.
 
     A narrow-band disturbance has few independent samples, so the RMS simulation error differs from
     part to part by chance; the errors that their past does not predict are nearly independent.

@@ -127,14 +127,13 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     causes, remainder = _with_what_has_no_name(
         problem, found, named, remainder, remaining, is_disturbed=is_disturbed
     )
-    causes = with_a_doubt(
-        _with_the_sign(found, causes), failing_where_held_out(found, *errors, extended, remainder)
-    )
+    failing = failing_where_held_out(found, *errors, extended, remainder)
+    causes = with_a_doubt(_with_the_sign(found, causes), failing)
     causes = with_refusal_reasons(causes, found.search.refused)
     beside = remainder.beside if remainder is not None and not causes else None
     unlike = unlike_where_held_out(found, fitted, held, baseline, beside)
     why, bounds = _undecided(problem, found, beside, unlike, disturbances)
-    doubts = _doubts(found, remainder, bounds, poor)
+    doubts = _doubts(found, remainder, bounds, poor, failing if causes else unlike)
     verdict: Verdict = "deficient" if causes else "undecided" if why else "adequate"
     untested = start.why_undecided
     return Judgement(
@@ -217,14 +216,10 @@ def errs_in_held_out_alone(found: Findings, judged: Judgement) -> bool:
 
     What sets in where a record is held out is in no part that was fitted.
     """
-    remainder, extended = judged.remainder, judged.extended
     is_judged = not (found.baseline.why_undecided or found.baseline.split.is_empty)
-    if not is_judged or remainder is None or judged.verdict == "adequate":
+    if not is_judged or judged.remainder is None or judged.verdict == "adequate":
         return False
-    if not judged.causes:
-        errors = judged.fitted, judged.held_out
-        return bool(unlike_where_held_out(found, *errors, judged.baseline, remainder.beside))
-    return bool(failing_where_held_out(found, judged.fitted, judged.held_out, extended, remainder))
+    return bool(judged.doubts.held_out)
 
 
 def _remaining(
@@ -281,6 +276,7 @@ def _doubts(
     remainder: Remainder | None,
     bounds: Mapping[str, str],
     poor: tuple[str, ...],
+    held_out: str,
 ) -> Doubts:
     """The doubts: contradictions of the model, named or not."""
     weigh = None if found.corrected is None else found.corrected.weigh
@@ -288,7 +284,7 @@ def _doubts(
     is_more = (
         remainder is not None and remainder.p_value < remainder.level and not remainder.disturbances
     )
-    return Doubts(is_more, tuple(apart), bounds, poor)
+    return Doubts(is_more, tuple(apart), bounds, poor, held_out)
 
 
 def _left_to_disturbances(

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 import casid
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.verdict import gain
 from casid.diagnosis.verdict.judgement import predicts_held_out
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -41,7 +42,18 @@ def record(seed: int, changed: float) -> casid.Record:
 
 
 @pytest.mark.parametrize(("changed", "is_predicted"), [(1.0, True), (0.5, False)])
-def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(changed: float, is_predicted: bool):
+def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(
+    changed: float, is_predicted: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """What was held out is compared once, whoever asks for it."""
+    compared: list[object] = []
+    compare = gain.simulation_errors
+
+    def counted(*given: Any) -> Any:
+        compared.append(given)
+        return compare(*given)
+
+    monkeypatch.setattr(gain, "simulation_errors", counted)
     split = split_records([casid.Experiment(record(2, changed), {}, "r")], 0.3)
     weighing = Weighing(split.fitted)
     fit = fit_model(model(), split.fitted, FitSettings(starts=1, substeps=1))
@@ -51,6 +63,8 @@ def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(changed: float, 
     baseline = SimpleNamespace(split=split)
     found: Any = SimpleNamespace(adopted=(object(),), at=at, baseline=baseline, search=search)
     assert predicts_held_out(found, None) is is_predicted
+    assert predicts_held_out(found, None) is is_predicted
+    assert len(compared) == 1
     # Without causes there is a verdict of its own for it.
     found.adopted = ()
     assert predicts_held_out(found, None)
