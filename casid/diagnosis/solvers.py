@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from casid.diagnosis.thresholds import REFITS
-from casid.estimation.nlp.solver import Solver
+from casid.estimation.nlp.solver import NEARBY, Solver
 
-NEAR = Solver(
-    max_iterations=25,
-    options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7, "ipopt.tol": 1e-6},
-)
-"""For fits that start next to their minimum: a large barrier would only lead away from it."""
+NEAR = replace(NEARBY, max_iterations=25, options={**NEARBY.options, "ipopt.tol": 1e-6})
+"""To the accuracy that decides."""
 
 COMPARED = replace(NEAR, enough=REFITS.enough)
 """The same for candidates that are compared: what a further step would gain decides nothing."""

@@ -107,6 +107,10 @@ class Solver:
         return merged
 
 
+NEARBY = Solver(options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7})
+"""For fits that start next to their minimum: a large barrier would only lead away from it."""
+
+
 def descending(solver: Solver | None) -> Solver | None:
     """The solver without steps that raise the objective, None where nothing changes.
 

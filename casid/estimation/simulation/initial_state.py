@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
-from casid.estimation.nlp.solver import Solver
+from casid.estimation.nlp.solver import NEARBY
 from casid.estimation.simulation.fit import value_at_start, within_bounds
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.short_horizons import begun_at, fit_of_short_horizons
@@ -16,10 +17,7 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INITIAL_STATES
 from casid.model.model import Model
 
-_NEAR = Solver(
-    options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7},
-    enough=INITIAL_STATES.enough,
-)
+_FROM_MEASURED = replace(NEARBY, enough=INITIAL_STATES.enough)
 """From a state that was measured or simulated, over few unknowns: what a further step would lower
 the error by shows in no comparison, and where dry friction reverses no step ends at a kink."""
 
@@ -73,5 +71,7 @@ def fit_initial_state(
         criterion = begun_at(criterion, short.values)
     point = criterion.start
     if len(point):
-        point = minimize_simulation_error(criterion, solver=_NEAR, check_rank=False, retry="none").x
+        point = minimize_simulation_error(
+            criterion, solver=_FROM_MEASURED, check_rank=False, retry="none"
+        ).x
     return criterion, point

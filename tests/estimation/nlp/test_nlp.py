@@ -12,7 +12,7 @@ from casid.errors import SolveError
 from casid.estimation.nlp.criterion import FALL, PATIENCE
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation, judged
-from casid.estimation.nlp.solver import LEADS_TO_KNOWN, Solver, descending
+from casid.estimation.nlp.solver import LEADS_TO_KNOWN, NEARBY, Solver, descending
 
 SOLVERS = pytest.mark.parametrize("solver", [Solver("ipopt"), Solver("sqpmethod")], ids=repr)
 N = 30
@@ -186,13 +186,10 @@ def test_a_search_at_a_kink_ends_at_its_best_point():
     assert criterion.passes < 20 * 21 / 2 + 2 * PATIENCE
 
 
-NEAR = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7}
-
-
 @pytest.mark.parametrize("enough", [1e-2, 1e-4, 1e-6])
 def test_a_search_that_may_end_early_ends_within_the_share_it_was_given(enough):
     """Gauss and Newton's step promises what is left to gain, but for the residual's curvature."""
-    best = decay(Decay()).solve(Solver(options=NEAR))
+    best = decay(Decay()).solve(NEARBY)
     passes: list[int] = []
 
     class Counting(Decay):
@@ -203,7 +200,7 @@ def test_a_search_that_may_end_early_ends_within_the_share_it_was_given(enough):
     for share in (0.0, enough):
         passes.append(0)
         end = decay(Counting()).solve(
-            Solver(options=NEAR, enough=share), throw=False, natural_scales=True
+            Solver(options=NEARBY.options, enough=share), throw=False, natural_scales=True
         )
         assert best.value * (1 - 1e-12) <= end.value <= best.value * (1 + 2 * share + 1e-9)
     assert end.status == "Solve_Succeeded"
@@ -218,7 +215,7 @@ def test_a_search_at_a_kink_ends_sooner_where_less_is_enough():
     nlp.variable("a", 2.3)
     nlp.variable("b", 1.0)
     nlp.minimize(early)
-    end = nlp.solve(Solver(options=NEAR, enough=1e-2), throw=False, natural_scales=True)
+    end = nlp.solve(Solver(options=NEARBY.options, enough=1e-2), throw=False, natural_scales=True)
     assert end.value == pytest.approx(1.0, abs=0.02)
     assert end.status == "Search_Direction_Becomes_Too_Small"
     assert early.passes < whole.passes / 2
@@ -244,7 +241,7 @@ def test_a_search_ends_where_its_pace_would_not_bring_it_low_enough(below, ends_
     nlp = Nlp("slope")
     nlp.variable("x", 0.0)
     nlp.minimize(criterion)
-    solver = Solver(max_iterations=30, options=NEAR, enough=1e-9, below=below)
+    solver = Solver(max_iterations=30, options=NEARBY.options, enough=1e-9, below=below)
     end = nlp.solve(solver, throw=False, natural_scales=True)
     assert (criterion.steps < 15) == ends_early
     assert end.status == (
@@ -255,9 +252,9 @@ def test_a_search_ends_where_its_pace_would_not_bring_it_low_enough(below, ends_
 @pytest.mark.parametrize(("share", "leads"), [(1.0, True), (0.5, False), (2.0, False)])
 def test_a_search_ends_where_its_steps_lead_to_a_minimum_that_is_known(share, leads):
     """A point half way to the minimum, or as far behind it, is none, and the search goes on."""
-    best = decay(Decay()).solve(Solver(options=NEAR))
+    best = decay(Decay()).solve(NEARBY)
     known = tuple(1.0 + share * (best.x - 1.0))  # every variable starts at 1
-    solver = Solver(options=NEAR, enough=1e-12, known=known)
+    solver = Solver(options=NEARBY.options, enough=1e-12, known=known)
     end = decay(Decay()).solve(solver, throw=False, natural_scales=True)
     assert (end.status == LEADS_TO_KNOWN) == leads
     assert leads or end.value == pytest.approx(best.value, rel=1e-9)
@@ -265,7 +262,7 @@ def test_a_search_ends_where_its_steps_lead_to_a_minimum_that_is_known(share, le
 
 def test_a_criterion_with_constraints_is_solved_to_its_end_whatever_is_enough():
     """It may have to rise for as long as they are not met."""
-    solver = Solver(options=NEAR, enough=0.5)
+    solver = Solver(options=NEARBY.options, enough=0.5)
     whole, early = (decay(Decay(), "product").solve(s) for s in (Solver(), solver))
     assert early.x == pytest.approx(whole.x, rel=1e-6)
 
