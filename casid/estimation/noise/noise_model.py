@@ -24,14 +24,12 @@ from casid.estimation.noise.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise.innovations import Innovations, innovations_of
 from casid.estimation.noise.missing_samples import PartialInnovations, UnbrokenInnovations, unbroken
 from casid.estimation.noise.noise_response import Response
+from casid.estimation.noise.thresholds import AVERAGE_RESPONSE
 from casid.estimation.noise.varying_innovations import PartialVarying, VaryingInnovations
 from casid.estimation.simulation.records.signals import Signals
 
 Partial = PartialInnovations | UnbrokenInnovations | PartialVarying
 
-FEW = 500
-"""Missing samples up to which those of a criterion count, whatever they cost: a system of as many
-equations takes a hundredth of a second."""
 Variance = tuple[Literal["output", "source"], str]
 """Whose: of an output, or of a source, which is a measured input or a force. The law of a state
 is a force by the state's name, which an output may have as well."""
@@ -367,7 +365,7 @@ class Whitening:
             bool(noise.varying)
             or noise.is_broken(experiment)
             or unbroken(used) is not None
-            or np.count_nonzero(~used) <= FEW
+            or np.count_nonzero(~used) <= AVERAGE_RESPONSE.missing
         )
         counts = is_cheap and len(used) == len(columns)
         return noise.whiten(columns, experiment, used if counts else None)

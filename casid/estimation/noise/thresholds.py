@@ -1,4 +1,4 @@
-"""Every number that decides how noise on measured inputs is treated."""
+"""Every number that decides how noise is treated: on measured inputs, or of missing samples."""
 
 from __future__ import annotations
 
@@ -150,6 +150,18 @@ class ChannelFloor:
 
 
 @dataclass(frozen=True, slots=True)
+class AverageResponse:
+    """Which samples count under noise whose response is that of the record's average."""
+
+    missing: int = _is(
+        500,
+        "missing samples up to which those of a criterion count, whatever they cost: a system of "
+        "as many equations takes a hundredth of a second",
+        "tests/diagnosis/search/disturbance/test_sole_disturbance.py",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class VaryingResponse:
     """When noise of inputs whose response varies is taken at every sample, and its variances."""
 
@@ -196,5 +208,6 @@ FAR_ROOT = FarRoot()
 VARIANCE_SLOPE = VarianceSlope()
 STATED_NOISE = StatedNoise()
 CHANNEL_FLOOR = ChannelFloor()
+AVERAGE_RESPONSE = AverageResponse()
 VARYING_RESPONSE = VaryingResponse()
 STEPS = Steps()
