@@ -10,9 +10,10 @@ from casid.data.problem import Problem
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
+from casid.diagnosis.search.adoption.feigned_causes import without_feigned
 from casid.diagnosis.search.adoption.promotion import with_likelier_rivals
 from casid.diagnosis.search.adoption.reconsideration import reconsidered
-from casid.diagnosis.search.adoption.refinement import Adoption
+from casid.diagnosis.search.adoption.refinement import Adoption, Refinement
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.comparison.simulation_errors import Soundness
 from casid.diagnosis.search.comparison.sizes_by_record import SizesByRecord, with_sizes_by_record
@@ -98,8 +99,8 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         baseline = replace(baseline, why_undecided=_why_open(search))
     found = last.by_likelier_rivals(last.judged_again(found))
     specific, found = last.with_sizes_by_record(found)
+    found, corrected = last.without_input_noise(problem, found, own_fit)
     extended = found.fit or own_fit
-    corrected = last.without_input_noise(problem, extended)
     if corrected is not None and extended is not None:
         extended = corrected.fit
     adopted = with_instant_errors(search.attempts, found.adopted, extended)
@@ -185,22 +186,42 @@ class _LastSteps:
         specific, fit, at = apart
         return specific, replace(found, at=at, fit=fit)
 
-    def without_input_noise(self, problem: Problem, extended: Fit | None) -> Corrected | None:
-        """The last fit without the bias of noise on measured inputs.
+    def without_input_noise(
+        self, problem: Problem, found: Adoption, own_fit: Fit | None
+    ) -> tuple[Adoption, Corrected | None]:
+        """The last fit without the bias of noise on measured inputs, and what is a cause there.
 
-        None of one under a disturbance, and of an extended model that simulates worse without it.
+        No such fit of one under a disturbance, and of an extended model that simulates worse
+        without it.
         """
+        extended = found.fit or own_fit
         fit = extended or self.baseline.fit
         if fit.criterion.whiten is not None:
-            return None
+            return found, None
         self.settings.progress("remove the bias of noise on measured inputs")
-        corrected = self.search.attempts.attempt(
+        correct = partial(self._corrected, problem)
+        corrected = correct(fit)
+        if extended is not None and corrected is not None and not self.is_sound(corrected.fit):
+            return found, None
+        if corrected is None or not corrected.is_removed or found.fit is None:
+            return found, corrected
+        left = self.search.attempts.attempt(
+            "the test whether noise on inputs feigns a cause",
+            lambda: without_feigned(self._refinement(fit), found, corrected, correct),
+        )
+        return left or (found, corrected)
+
+    def _corrected(self, problem: Problem, fit: Fit) -> Corrected | None:
+        """A fit without the bias of noise on its inputs; None where that fails."""
+        return self.search.attempts.attempt(
             "the removal of the bias of noise on inputs",
             lambda: without_input_noise(fit, problem.noise, seed=self.settings.fit.seed),
         )
-        if corrected is None or extended is None or self.is_sound(corrected.fit):
-            return corrected
-        return None
+
+    def _refinement(self, fit: Fit) -> Refinement:
+        """Steps that refine causes, with errors in the units of a fit."""
+        of, units = self.baseline, fit.criterion.weights
+        return Refinement(self.search, of.split, self.settings.refit, units, of.start, of.fit)
 
 
 def _found(

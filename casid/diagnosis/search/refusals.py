@@ -29,5 +29,6 @@ class Refusal:
 
 ACCEPTED = Refusal()
 SUPERFLUOUS = Refusal("the other causes together leave nothing for it to explain")
+FEIGNED = Refusal("without the bias that noise on measured inputs gives, its size is zero")
 RANDOM = Refusal("an unrecorded random disturbance explains the misfit as well")
 LEAVES_MORE = Refusal("it seems to imitate a better law, and leaves more than noise")
