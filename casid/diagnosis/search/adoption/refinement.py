@@ -211,6 +211,8 @@ class Refinement:
         """
         adopted, fit = list(found.adopted), found.fit
         assert fit is not None
+        if moved_in_time(self.start.model, adopted, fit) is None:
+            return found  # the test for a disturbance takes seconds
         if explaining_disturbance(self.search, found.at, fit) is not None:
             return found
         for _ in range(JUMPS.moves):
