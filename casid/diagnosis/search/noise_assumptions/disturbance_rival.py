@@ -49,7 +49,7 @@ from casid.diagnosis.search.comparison.simulation_errors import (
     why_not_adopted,
 )
 from casid.diagnosis.search.disturbance.disturbance_price import as_white, price_of
-from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
+from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside, sole_disturbance
 from casid.diagnosis.search.refusals import ACCEPTED, RANDOM, Refusal
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
@@ -143,6 +143,8 @@ def weighed_against_disturbances(
             if before is None or not is_named or not _predicts_better(found, before.found, split):
                 return search, start, found
             return replace(before.search, refused=search.refused), before.bare, before.found
+        if not is_random and _is_complete(found, own, again):
+            again = replace(again, max_causes=min(again.max_causes, len(found.adopted)))
     beside = before if before is not None and before.of is bare else None
     beside = beside or searched_beside(again, bare, baseline, settings)
     _add_refused(search, beside.search.refused)
@@ -159,6 +161,17 @@ def weighed_against_disturbances(
 def _is_found_beside_misfit(cause: Adopted) -> bool:
     """True of a cause found where the noise held misfit, which the causes before it had hidden."""
     return cause.before is not None and cause.before.noise_absorbs_misfit
+
+
+def _is_complete(found: Adoption, own: Weighted, again: Search) -> bool:
+    """True if nothing is left to name beside causes, and beside the disturbance that they leave.
+
+    What is likelier then has as many causes at most: more of them are not sought in their place.
+    """
+    if is_more_than_noise(own, again):
+        return False
+    table = again.table(own, [a.candidate for a in found.adopted])
+    return not again.has_alarm(own, table) and not pays_beside(again, own, table)
 
 
 def takes_place_of(
