@@ -355,7 +355,8 @@ class _Writer:
             number = f"{largest:.9g}" if size == "rate" else number  # SI, whatever the channel
             channel = ", ".join(_text(s.channel) for s in (stage, *others))
             channel = f"[{channel}]" if others else channel
-            made = f"casid.{function}({self.m}, {channel}, {size}={number})"
+            begins = f", begins={stage.begins:g}" if stage.begins else ""
+            made = f"casid.{function}({self.m}, {channel}, {size}={number}{begins})"
             lines += self._extended(made, stage.parameter)
             if stage.share:
                 lines += self._valued(stage.share, is_free=False)

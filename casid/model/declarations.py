@@ -198,6 +198,7 @@ class Stage:
     sensitivities.
 
     `least` is the narrowest play: without play the contacts are those of that one, not of noise.
+    `begins` is where what acts through play stands as a record begins, in gaps beside the command.
     `share` is a further parameter, the part of what the stage does that is done: 0 or 1.
     """
 
@@ -206,6 +207,7 @@ class Stage:
     parameter: str
     least: float = 0.0
     share: str = ""
+    begins: float = 0.0
 
     @property
     def is_of_input(self) -> bool:

@@ -10,6 +10,7 @@ from casid.arrays import Array
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.adoption.event_renaming import with_last_event_renamed
+from casid.diagnosis.search.adoption.first_contacts import with_first_contact
 from casid.diagnosis.search.adoption.friction_sharpness import (
     with_sharp_friction,
     with_sharp_friction_beside,
@@ -64,6 +65,7 @@ INSTANTS = "the instants of changes in the whole records"
 BESIDE = "the instant of a change beside a random disturbance"
 EVENT = "the comparison of what sets in with other changes at its instant"
 MOTION = "the motion of a further part when the record begins"
+CONTACT = "the place of a command in its play when the record begins"
 PREDICTION = "the comparison of the causes with their rivals by what was held out"
 
 
@@ -90,8 +92,7 @@ def adopt_causes(
     with search.attempts.within(BUDGET.rounds):
         while len(state.adopted) < search.max_causes and not state.is_done and state.adopt_next():
             state.exchange_last()
-            if under is None:
-                state.refine(refine)
+            state.refine(refine)
     if not state.adopted:
         return Adoption((), at, None)
     found, attempt = state.found, search.attempts.attempt
@@ -387,21 +388,26 @@ class Selection:
 
     def refine(self, refine: Refinement) -> None:
         """Refine what was adopted by now, before a further cause makes up for what is inexact."""
-        steps: dict[str, Callable[[Adoption], Adoption]] = {
+        contact = {CONTACT: partial(with_first_contact, refine)}
+        is_disturbed = self.search.weighing.takes_disturbances
+        of_all: dict[str, Callable[[Adoption], Adoption]] = {
             BESIDE: partial(with_last_change_placed, refine),
             EVENT: partial(with_last_event_renamed, refine),
             SHARPNESS: partial(with_sharp_friction, refine, most=FRICTION.samples),
             MOTION: refine.with_initial_motion,
+            **contact,
             POWERS: partial(with_better_powers, refine),
             PREDICTION: refine.with_better_rivals,
         }
         if self.adopted[-1].candidate.effect.kind != "coulomb_friction":
-            del steps[SHARPNESS]
-        for what, step in steps.items():
+            del of_all[SHARPNESS]
+        for what, step in (contact if is_disturbed else of_all).items():
             found = self.search.attempts.attempt(what, partial(step, self.found))
             if found is not None and found.fit is not None and found.fit is not self.fit:
                 self.adopted, self.at, self.fit = list(found.adopted), found.at, found.fit
-                self.errors = simulation_errors(self.fit, self.split, self.units)
+                last = self.adopted[-1].candidate
+                errors = simulation_errors(self.fit, self.split, self.units)
+                self.errors = self._errors(last) if is_disturbed else errors
 
     def _exchange(self, taken: Adopted, other: Candidate) -> bool:
         """Take another candidate in the place of the last one, if it leaves noise alone."""

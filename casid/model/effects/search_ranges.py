@@ -246,6 +246,12 @@ class Actuators:
         _ACTUATORS,
     )
     tick: float = _is(0.005, "of the widest play, what is none beside it", _ACTUATORS)
+    begins: tuple[float, ...] = _is(
+        (-1.0, -0.5, 0.5, 1.0),
+        "of the play, where else than in its middle what acts may stand as a record begins: at a "
+        "contact, or halfway to one",
+        _ACTUATORS,
+    )
     rates: int = _is(6, "largest rates of an actuator that the search starts from, at most", _RATES)
     halvings: int = _is(
         16, "times that the largest rate of a command is halved, in search of those", _RATES

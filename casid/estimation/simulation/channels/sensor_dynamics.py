@@ -220,7 +220,7 @@ def prepared_inputs(
         for stage in mine:
             if stage.kind == "play_input":
                 gap = values[stage.parameter]
-                last, sign = play(columns[channel], gap or stage.least)
+                last, sign = play(columns[channel], gap or stage.least, stage.begins)
                 if gap:
                     columns = {n: c[last] for n, c in columns.items()}
                 columns[channel] = columns[channel] - gap * sign
@@ -315,18 +315,21 @@ def _limit_rate(
     lines[stage.carriers[1]] = change
 
 
-def play(column: Array, gap: float) -> tuple[Array, Array]:
+def play(column: Array, gap: float, begins: float = 0.0) -> tuple[Array, Array]:
     """The contacts of a command with play: what acts is column[last] - gap sign.
+
+    Parameters
+    ----------
+    begins : where what acts stands beside the command as the record begins, in gaps: -1 to 1.
 
     Returns
     -------
     last : (N,) sample at which the command last pushed.
-    sign : (N,) 1 where it pushed upwards, -1 downwards, 0 before the first contact, where what acts
-        is as the record begins.
+    sign : (N,) 1 where it pushed upwards, -1 downwards, and -`begins` before the first contact.
     """
     u = column.tolist()
     last, sign = np.zeros(len(u), dtype=int), np.zeros(len(u))
-    acting, at, pushed = u[0], 0, 0.0
+    acting, at, pushed = u[0] + begins * gap, 0, -begins
     for k, now in enumerate(u):
         if now - gap > acting:
             acting, at, pushed = now - gap, k, 1.0

@@ -152,12 +152,19 @@ def rate_limit(model: Model, channel: str, rate: float, *, most: float | None = 
 
 
 @names_wrong_types(ModelError)
-def input_backlash(model: Model, channel: str, largest: float, *, least: float = 0.0) -> Effect:
+def input_backlash(
+    model: Model, channel: str, largest: float, *, least: float = 0.0, begins: float = 0.0
+) -> Effect:
     """A recorded command that acts through play, as a valve's stem or a worn linkage does.
 
     What acts stays where it is until the command has moved by the gap on either side of it: w
-    follows u - gap upwards and u + gap downwards. It begins where the command begins. The gap is
-    at most `largest` (the channel's SI unit), and more than `least`.
+    follows u - gap upwards and u + gap downwards. The gap is at most `largest` (the channel's SI
+    unit), and more than `least`.
+
+    Parameters
+    ----------
+    begins : where what acts stands as a record begins, in gaps beside the command: -1 to 1. A
+        command that came from below has left it at -1.
 
     Parameters
     ----------
@@ -166,14 +173,19 @@ def input_backlash(model: Model, channel: str, largest: float, *, least: float =
     Raises
     ------
     ModelError
-        If the input is not recorded, or acts through play already.
+        If the input is not recorded, or acts through play already, or `begins` is beyond the gap.
     """
+    if not -1.0 <= begins <= 1.0:
+        raise ModelError(
+            f"{model.name}: play of {channel} begins={begins:g} gaps beside the command; "
+            "give -1 to 1, between the two contacts"
+        )
     entry = _command(model, channel, "backlash")
     require_first(model, is_played(model, channel), f"the command {channel} acts through play")
     p = Parameter(f"gap_{channel}", entry.unit, 0.0, lower=0.0, upper=largest)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        carry(new, Stage("play_input", channel, names[0], least))
+        carry(new, Stage("play_input", channel, names[0], least, begins=begins))
 
     return Effect(
         "backlash",
@@ -183,7 +195,11 @@ def input_backlash(model: Model, channel: str, largest: float, *, least: float =
         sided="positive",
         limit=largest,
         priority=1,
-        constants={"width": ACTUATORS.tick * largest, "least": least},
+        constants={
+            "width": ACTUATORS.tick * largest,
+            "least": least,
+            **({"begins": begins} if begins else {}),
+        },
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from casid.argument_types import names_wrong_types
 from casid.errors import ModelError
@@ -24,7 +25,7 @@ from casid.model.effects.channels.recorded_commands import (
     require_command,
     require_first,
 )
-from casid.model.effects.effect import Effect, Sizes, switched_on
+from casid.model.effects.effect import Effect, Sided, Sizes, switched_on
 from casid.model.effects.names import (
     ACTS_LATE,
     BESIDE_ITS_ZERO,
@@ -35,7 +36,7 @@ from casid.model.effects.names import (
 )
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Model
-from casid.model.units import is_comparable, same_dimension, unit_quotient
+from casid.model.units import is_comparable, same_dimension, to_si, unit_quotient
 
 
 def sensor_bias(model: Model, channel: str) -> Effect:
@@ -246,10 +247,14 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
     """An output that also feels another channel of its dimension: a sensor mounted askew.
 
     `source` is an output of the model (what it would show without noise), one of its inputs, or a
-    channel recorded beside the model, in `unit`. A temperature acts by its difference from this.
+    channel recorded beside the model, in `unit`. A temperature acts by its difference from this,
+    and by a share of it: heat that a thermometer's stem leads draws its reading towards the other.
     """
     own = model.outputs[channel][1]
-    p = Parameter(f"cross_{channel}_{source}", unit_quotient(own, unit, 1), 0.0)
+    is_temperature = same_dimension(own, "K")
+    low, high = (0.0, 1.0) if is_temperature else (-np.inf, np.inf)
+    quotient = unit_quotient(own, unit, 1)
+    p = Parameter(f"cross_{channel}_{source}", quotient, 0.0, lower=low, upper=high)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         """Add a share of the other channel to what this one reads."""
@@ -258,10 +263,11 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
             felt = new.outputs[source][0]
         else:
             felt = new.add_input(Input(source, unit, "known", "foh"))
-        felt = felt - expression if same_dimension(own, "K") else felt
+        felt = felt - expression if is_temperature else felt
         new.replace_output(channel, expression + new.symbol(names[0]) * felt, u)
 
-    return Effect("cross_axis", channel, (p,), apply, priority=1)
+    sided: Sided = "positive" if is_temperature else "both"
+    return Effect("cross_axis", channel, (p,), apply, sided=sided, priority=1)
 
 
 @names_wrong_types(ModelError)
@@ -401,8 +407,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     units |= {n: model.inputs[n].unit for n in measured}
     for channel, unit in units.items():
         level = sizes.levels.get(channel, 0.0)
-        # A gain errs from the sensor's zero; that of a temperature scale means nothing to it.
-        points = (level,) if same_dimension(unit, "K") else dict.fromkeys((level, 0.0))
+        points = dict.fromkeys((level, *_zeros_of_reading(model, channel, unit)))
         effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
     effects += [sensor_scale(model, n) for n in model.inputs if is_command(model, n)]
@@ -420,6 +425,16 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
             others = [h for h in HOLDS if h != entry.hold and not (lines and h == "bandlimited")]
             effects += [hold(model, channel, other) for other in others]
     return [*effects, *_holds_of_all(model)]
+
+
+def _zeros_of_reading(model: Model, channel: str, unit: str) -> list[float]:
+    """The readings from which a gain may err besides the operating point: the zero of the scale.
+
+    A thermometer is adjusted at the zero of degC or degF. Absolute zero means nothing to it: one
+    that is declared in K has no zero here.
+    """
+    zero = float(to_si(0.0, model.unit_of(channel)))
+    return [zero] if zero or not same_dimension(unit, "K") else []
 
 
 def _commands_with_a_zero(model: Model) -> list[str]:

@@ -59,9 +59,9 @@ def level_under(acting: np.ndarray) -> np.ndarray:
     return h
 
 
-def after_play(gap: float) -> np.ndarray:
-    """What a pin in a slot of half width `gap` does."""
-    w, acting = COMMAND[0], []
+def after_play(gap: float, begins: float = 0.0) -> np.ndarray:
+    """What a pin in a slot of half width `gap` does, from `begins` gaps beside the command."""
+    w, acting = COMMAND[0] + begins * gap, []
     for u in COMMAND:
         w = min(max(w, u - gap), u + gap)
         acting.append(w)
@@ -109,14 +109,27 @@ def test_a_valve_with_play_moves_once_the_command_has_crossed_it(gap: float):
     assert np.max(np.abs(y - simulated(None))) > 0.3 * gap
 
 
+@pytest.mark.parametrize("begins", [-1.0, 0.5, 1.0])
+def test_play_begins_anywhere_between_its_contacts(begins: float):
+    effect = input_backlash(tank(), "u", 1.0, begins=begins)
+    y = simulated(effect, 0.35)
+    assert y == pytest.approx(level_under(after_play(0.35, begins)), abs=1e-6)
+    assert np.max(np.abs(y - simulated(input_backlash(tank(), "u", 1.0), 0.35))) > 0.01
+
+
+def test_play_that_begins_beyond_its_contacts_is_refused():
+    with pytest.raises(ModelError, match="begins=1.2 gaps beside the command; give -1 to 1"):
+        input_backlash(tank(), "u", 1.0, begins=1.2)
+
+
 def test_without_play_the_command_acts_as_it_is():
     assert simulated(input_backlash(tank(), "u", 1.0), 0.0) == pytest.approx(simulated(None))
 
 
-@pytest.mark.parametrize("gap", [0.0, 0.2])
-def test_the_sensitivity_to_play_is_its_derivative(gap: float):
+@pytest.mark.parametrize(("gap", "begins"), [(0.0, 0.0), (0.2, 0.0), (0.2, -1.0), (0.0, 0.5)])
+def test_the_sensitivity_to_play_is_its_derivative(gap: float, begins: float):
     """Of null on the side that exists: contacts change at isolated samples alone."""
-    effect = input_backlash(tank(), "u", 1.0)
+    effect = input_backlash(tank(), "u", 1.0, begins=begins)
     c = criterion(effect, (gap,))
     i = c.names.index("gap_u")
     jacobian = c.simulated(c.start, 0).jacobian[:, 0, i]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -223,6 +224,32 @@ def test_an_actuator_behind_a_band_limited_command_lags_smoothly():
 
 
 SIZES = Sizes({"x": 0.1, "v": 1.0}, {}, (0.0, 12.0), 0.1)
+
+
+def heated(unit: str) -> casid.Model:
+    m = casid.Model("heated body")
+    T = m.state("T", unit)
+    m.balance(T, "heat", inertia=m.constant("C", 1e3, "J/K"), terms=[m.input("P", "W")])
+    m.output("reading", T, unit)
+    return m
+
+
+@pytest.mark.parametrize(("unit", "points"), [("degC", {400.0, 273.15}), ("K", {400.0})])
+def test_the_gain_of_a_thermometer_errs_about_its_level_and_the_zero_of_its_scale(unit, points):
+    sizes = dataclasses.replace(SIZES, levels={"reading": 400.0})
+    found = channel_effects_of(heated(unit), sizes, {})
+    gains = [e for e in found if (e.kind, e.where) == ("sensor_scale", "reading")]
+    assert {e.constants["about"] for e in gains} == points
+
+
+def test_a_thermometer_is_drawn_towards_another_temperature_and_not_away_from_it():
+    (felt,) = [
+        e
+        for e in channel_effects_of(heated("degC"), SIZES, {"hall": "degC"})
+        if e.kind == "cross_axis"
+    ]
+    (share,) = felt.parameters
+    assert (felt.sided, share.lower, share.upper) == ("positive", 0.0, 1.0)
 
 
 def test_axes_are_crossed_between_channels_of_one_dimension_only():
