@@ -199,6 +199,8 @@ class Effect:
         """
         if self.is_switched and p is self.parameters[0]:
             return None  # a share, also where the channel has per cent
+        if p.unit == "1" and p.start == 1.0:
+            return None  # an exponent, whose null value is 1, is no part of the channel
         own = self.declared_units.get(p.name)
         unit = own or (None if self.kind in LATE else model.declared_units.get(self.where))
         if p.unit == "s" and (unit is None or si_unit(unit) != "s"):

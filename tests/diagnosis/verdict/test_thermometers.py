@@ -31,8 +31,8 @@ def oven() -> casid.Model:
     return m
 
 
-def measured(gain: float) -> casid.Record:
-    """By SciPy; the charge's thermometer shows `gain` times its temperature in degC."""
+def measured(gain: float = 1.0, curve: float = 0.0) -> casid.Record:
+    """By SciPy; the charge's thermometer shows `gain` T + `curve` T^2, with its T in degC."""
     rng = np.random.default_rng(4)
     P = np.repeat(rng.uniform(0.5e3, 9e3, N // 80), 80)
     hall = 273.15 + 22 + 2 * np.sin(2 * np.pi * np.arange(N) * TS / 5000)
@@ -46,7 +46,8 @@ def measured(gain: float) -> casid.Record:
         y[i] = x
         now = (P[i], hall[i])
         x = solve_ivp(slope, (0.0, TS), x, "LSODA", args=now, rtol=1e-8).y[:, -1]
-    y[:, 1] = 273.15 + gain * (y[:, 1] - 273.15)
+    shown = y[:, 1] - 273.15
+    y[:, 1] = 273.15 + gain * shown + curve * shown**2
     y += rng.standard_normal((N, 2)) * [0.8, 0.4]
     channels = {"P": P, "hall": hall, "T_wall": y[:, 0], "T_charge": y[:, 1]}
     return casid.Record(channels, {"P": "W", "hall": "K", "T_wall": "K", "T_charge": "K"}, Ts=TS)
@@ -60,3 +61,15 @@ def test_a_thermometer_that_reads_six_per_cent_low_in_degrees_celsius_has_that_g
     assert (cause.kind, cause.where) == ("sensor_scale", "T_charge")
     (scale,) = cause.parameters
     assert abs(scale.value + 0.06) < 3 * scale.std_error < 0.006
+
+
+@pytest.mark.slow
+def test_a_thermometer_that_is_not_linear_is_no_heat_that_is_missing():
+    """It had a constant heat flow and an area that changes with the hall in its place."""
+    record = measured(curve=-6e-5)
+    found = casid.diagnose(casid.Problem("oven", oven()), record, starts=1, advise=False)
+    (cause,) = found.causes
+    assert (cause.kind, cause.where) == ("unknown", "T_charge")
+    assert "an error of the sensor that grows with the square" in cause.sentence
+    (curve,) = cause.parameters
+    assert abs(curve.value + 6e-5) < 3 * curve.std_error < 0.6e-5

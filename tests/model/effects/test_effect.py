@@ -72,7 +72,7 @@ def test_the_catalogue_has_every_kind_in_every_place_that_the_structure_allows()
     wanted = {(kind, "torque") for kind in torque}
     wanted |= {("asymmetric_friction", f"torque: {shape}") for shape in ("dry", "viscous")}
     shapes = ("p^2", "sqrt|p|", "phi^5", "phi p", "phi^2 p", "hysteresis")
-    wanted |= {("unknown", f"torque: {shape}") for shape in shapes}
+    wanted |= {("unknown", f"torque: {shape}") for shape in shapes} | {("unknown", "gyro: gyro^2")}
     wanted |= {("extra_input", "ref"), ("extra_input", "speed")}
     wanted |= {("offset", "torque: step")}
     # A known load may still appear; constants of nature and of geometry never jump.

@@ -407,7 +407,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     units |= {n: model.inputs[n].unit for n in measured}
     for channel, unit in units.items():
         level = sizes.levels.get(channel, 0.0)
-        points = dict.fromkeys((level, *_zeros_of_reading(model, channel, unit)))
+        points = dict.fromkeys((level, *zeros_of_reading(model, channel, unit)))
         effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
     effects += [sensor_scale(model, n) for n in model.inputs if is_command(model, n)]
@@ -427,7 +427,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     return [*effects, *_holds_of_all(model)]
 
 
-def _zeros_of_reading(model: Model, channel: str, unit: str) -> list[float]:
+def zeros_of_reading(model: Model, channel: str, unit: str) -> list[float]:
     """The readings from which a gain may err besides the operating point: the zero of the scale.
 
     A thermometer is adjusted at the zero of degC or degF. Absolute zero means nothing to it: one

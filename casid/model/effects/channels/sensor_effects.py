@@ -8,10 +8,12 @@ from typing import Any
 import casadi as ca
 
 from casid.model.declarations import Parameter
+from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.channels.channel_effects import zeros_of_reading
 from casid.model.effects.effect import Effect, Sizes, switched_on
-from casid.model.effects.names import OVER_A_RESISTANCE
+from casid.model.effects.names import OVER_A_RESISTANCE, bracketed
 from casid.model.effects.places.place import a_quantity, is_mechanical
-from casid.model.effects.search_ranges import RECTIFIED
+from casid.model.effects.search_ranges import RECTIFIED, UNNAMED_EFFECTS
 from casid.model.identifiers import made_identifier
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
@@ -85,9 +87,39 @@ def series_resistance(model: Model, channel: str, balance: str) -> Effect | None
     )
 
 
+def curved_reading(model: Model, channel: str, about: float = 0.0) -> Effect:
+    """An output whose characteristic is no straight line: y + c (y - `about`)^2.
+
+    `about` (the channel's SI unit) is where it reads right, as `about` of a gain. Without an
+    established name: a law of the system curves what it shows in many ways as well.
+    """
+    unit = model.outputs[channel][1]
+    point = carrying_unit(about) if about else 0.0
+    p = Parameter(f"curve_{channel}", unit_quotient("1", unit, 1), 0.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        expression, own = new.outputs[channel]
+        curved = expression + new.symbol(names[0]) * (expression - point) ** 2
+        new.replace_output(channel, curved, own)
+
+    return Effect(
+        "unknown",
+        channel,
+        (p,),
+        apply,
+        priority=UNNAMED_EFFECTS.priority,
+        shape=f"{bracketed(channel)}^2",
+        description="an error of the sensor that grows with the square of what it shows",
+        constants={"about": about} if about else {},
+    )
+
+
 def sensor_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Sensors that may show an absolute value, or sit away from the assumed point."""
-    for channel in model.outputs:
+    """Sensors that may show an absolute value, curve, or sit away from the assumed point."""
+    for channel, (_, unit) in model.outputs.items():
+        points = zeros_of_reading(model, channel, unit)
+        level = sizes.levels.get(channel, 0.0)
+        yield from (curved_reading(model, channel, a) for a in dict.fromkeys((level, *points)))
         is_shown = made_identifier(f"rectified_{channel}") in model.parameters
         if shows_sizes(*sizes.readings.get(channel, (-1.0, 1.0))) and not is_shown:
             yield rectified(model, channel)

@@ -112,6 +112,17 @@ def test_tanks_that_a_model_takes_as_alike_have_one_law_of_outflow():
     assert found == pytest.approx(expected, rel=1e-5)
 
 
+def test_an_exponent_is_no_percentage_of_a_level_in_per_cent():
+    m = casid.Model("tank whose level is a share")
+    h = m.state("h", "%", start=50.0)
+    m.balance(h, "h", inertia=1, terms=[-m.parameter("k", "1/s", start=0.1) * h], unit="%/s")
+    m.output("level", h, "%")
+    effect = power_law(m, "h", 0.5)
+    assert effect is not None
+    extended, (exponent,) = effect.extended(m)
+    assert (extended.unit_of(exponent), extended.shown(exponent, 0.5)) == ("1", 0.5)
+
+
 def test_springs_and_speeds_with_a_position_follow_no_power_law():
     model = pendulum.problem.model
     assert power_law(model, "phi", 0.1) is None

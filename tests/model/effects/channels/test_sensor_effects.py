@@ -11,7 +11,12 @@ import pytest
 import casid
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channels.channel_effects import sensor_scale
-from casid.model.effects.channels.sensor_effects import lever_arm, rectified, sensor_effects_of
+from casid.model.effects.channels.sensor_effects import (
+    curved_reading,
+    lever_arm,
+    rectified,
+    sensor_effects_of,
+)
 from casid.model.effects.effect import Effect, Sizes
 from casid.model.effects.names import effect_words
 
@@ -49,6 +54,24 @@ def test_a_rectifier_shows_the_absolute_value():
 def test_a_lever_arm_adds_what_the_rotation_gives_to_a_point():
     assert shown(lever_arm(bar(), "accel", "w"), 0.2, "accel") == pytest.approx(0.7 * 0.1)
     assert shown(lever_arm(bar(), "speed", "w"), 0.2, "speed") == pytest.approx(0.5 * -0.2)
+
+
+def test_a_curved_characteristic_errs_by_the_square_of_what_it_shows():
+    assert shown(curved_reading(bar(), "speed"), 2.0, "speed") == pytest.approx(-0.06 + 2 * 0.0036)
+    about = curved_reading(bar(), "speed", -0.05)
+    assert shown(about, 2.0, "speed") == pytest.approx(-0.06 + 2 * 0.0001)
+    assert shown(about, 0.0, "speed") == pytest.approx(-0.06)
+
+
+def test_a_characteristic_curves_from_the_zero_of_its_scale_and_from_its_level():
+    m = casid.Model("bath")
+    T = m.state("T", "degC")
+    m.balance(T, "heat", inertia=m.constant("C", 1e3, "J/K"), terms=[m.input("P", "W")])
+    m.output("reading", T, "degC")
+    at = dataclasses.replace(Sizes({}, {}, (0.0, 1.0), 1.0), levels={"reading": 350.0})
+    curved = [e for e in sensor_effects_of(m, at) if e.shape == "reading^2"]
+    assert [e.constants["about"] for e in curved] == [350.0, 273.15]
+    assert {effect_words(*e.key) for e in curved} == {"unidentified term like reading^2 in reading"}
 
 
 def test_an_absolute_value_is_suspected_where_no_reading_is_negative():
@@ -116,7 +139,8 @@ def test_an_output_may_show_what_flows_into_a_store_over_a_series_resistance():
 
 def test_what_shows_a_speed_has_no_series_resistance():
     """What moves a mass is no flow into a store."""
-    assert not list(sensor_effects_of(filter_model("N"), of_store()))
+    kinds = {e.kind for e in sensor_effects_of(filter_model("N"), of_store())}
+    assert "cross_axis" not in kinds
 
 
 @pytest.mark.slow
