@@ -329,6 +329,7 @@ class _Writer:
                 if symbol in self._formula(e.solution):
                     lines.append(f"{symbol} = {self.m}.eliminated_symbol({_text(e.output)})")
                 given.append(f"solution={self._formula(e.solution)}")
+            given += [] if e.hold == "foh" else [f'hold="{e.hold}"']
             lines += self._call(self.m, "eliminate", *given)
         return lines
 
@@ -337,9 +338,7 @@ class _Writer:
     def _extensions(self) -> list[str]:
         lines: list[str] = []
         for name, entry in self.whole.inputs.items():
-            is_declared = name in self.equations.model.inputs  # an output has no hold of its own
-            is_settled = self.whole.acting_hold(name) != entry.hold
-            if entry.kind == "generated" or (is_declared and is_settled):
+            if entry.kind == "generated" or self.whole.acting_hold(name) != entry.hold:
                 continue
             for blend in entry.blends:
                 hold = f"{_text(name)}, {_text(blend.toward)}"

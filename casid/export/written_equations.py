@@ -8,13 +8,14 @@ share have names.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 
 from casid.errors import ModelError
 from casid.model.clock_signals import Always, RampOver, StepAt, TimeSince
+from casid.model.declarations import Hold
 from casid.model.formula_text import Notation, formula_text, shared_parts
 from casid.model.identifiers import identifier
 from casid.model.model import Model
@@ -36,10 +37,14 @@ class WrittenBalance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Elimination:
-    """An unknown input solved from an output; `solution` where a branch was chosen."""
+    """An unknown input solved from an output, and what that does between its samples.
+
+    `solution` where a branch was chosen.
+    """
 
     unknown: str
     output: str
+    hold: Hold
     solution: Expr | None
 
 
@@ -124,7 +129,7 @@ def _with_solution(
     eliminations: Sequence[Elimination], rest: Iterator[Expr]
 ) -> Iterator[Elimination]:
     for e in eliminations:
-        yield e if e.solution is None else Elimination(e.unknown, e.output, next(rest))
+        yield e if e.solution is None else replace(e, solution=next(rest))
 
 
 def _with_unknown_inputs(model: Model) -> tuple[Model, list[Elimination]]:
@@ -141,7 +146,7 @@ def _with_unknown_inputs(model: Model) -> tuple[Model, list[Elimination]]:
         residual, name = branches[m.unknown.name], m.unknown.name
         is_branch = not ca.is_equal(residual, m.residual, 50)
         solution = model.symbol(name) - residual if is_branch else None
-        eliminations.append(Elimination(name, m.output, solution))
+        eliminations.append(Elimination(name, m.output, model.inputs[m.output].hold, solution))
     return direct, eliminations
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -16,6 +16,20 @@ Expr = Any  # a CasADi SX expression, or a number where one is meant
 Hold = Literal["zoh", "foh", "bandlimited"]
 HOLDS: tuple[Hold, ...] = get_args(Hold)
 """What a recorded signal may do between its samples."""
+
+
+def checked_hold(name: str, hold: Any) -> Hold:
+    """What the input `name` does between its samples, as a user states it.
+
+    Raises
+    ------
+    ModelError
+        If it is none of `HOLDS`.
+    """
+    for known in HOLDS:
+        if hold == known:
+            return known
+    raise ModelError(f"input {name}: hold={hold!r} is not known; use 'zoh', 'foh' or 'bandlimited'")
 
 
 def expression_of(where: str, given: Any) -> Expr:
@@ -149,6 +163,17 @@ class Input:
 
 
 @dataclass(frozen=True, slots=True)
+class EliminatedWith:
+    """What an elimination took away: the unknown input, and the output it was eliminated with."""
+
+    unknown: Input
+    output: str
+    residual: Expr  # 0 = output's expression - its measured symbol, before any branch was chosen
+    input_place: int
+    output_place: int
+
+
+@dataclass(frozen=True, slots=True)
 class Balance:
     """A named force or torque balance: inertia * d(rate)/dt = sum of terms.
 
@@ -184,6 +209,10 @@ StageKind = Literal[
     "play_input",
     "rate_input",
 ]
+
+
+SENSED: Mapping[str, Literal["delay", "lag"]] = {"delay_input": "delay", "lead_input": "lag"}
+"""What the stages of a measured input are, once it is an output again."""
 
 
 @dataclass(frozen=True, slots=True)

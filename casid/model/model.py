@@ -16,14 +16,25 @@ in rad wherever its symbol is used.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol, runtime_checkable
+from dataclasses import replace
+from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 
 from casid.argument_types import methods_name_wrong_types
 from casid.errors import ModelError, nearest, require_texts
-from casid.model.declarations import Balance, Expr, Input, Stage, expression_of, symbol_name
+from casid.model.declarations import (
+    SENSED,
+    Balance,
+    EliminatedWith,
+    Expr,
+    Hold,
+    Input,
+    Stage,
+    checked_hold,
+    expression_of,
+    symbol_name,
+)
 from casid.model.declared_units import (
     common_unit,
     rate_in_own_unit,
@@ -46,21 +57,6 @@ class Extension(Protocol):
     def extend(self, model: Model) -> Model:
         """A copy of the model that holds it."""
         ...
-
-
-_SENSED: Mapping[str, Literal["delay", "lag"]] = {"delay_input": "delay", "lead_input": "lag"}
-"""What the stages of a measured input are, once it is an output again."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Measured:
-    """What an elimination took away: the unknown input, and the output it was eliminated with."""
-
-    unknown: Input
-    output: str
-    residual: Expr  # 0 = output's expression - its measured symbol, before any branch was chosen
-    input_place: int
-    output_place: int
 
 
 @methods_name_wrong_types(ModelError)
@@ -87,7 +83,7 @@ class Model(NamedQuantities, Viewed):
         self.stages: tuple[Stage, ...] = ()
         self._rates: dict[str, Expr] = {}  # state -> explicit right-hand side
         self._eliminations: list[tuple[str, str, Expr]] = []  # (unknown, equation's name, residual)
-        self._measured: list[_Measured] = []  # what each elimination took away, in that order
+        self._measured: list[EliminatedWith] = []  # what each elimination took away, in that order
 
     # -- declaring ---------------------------------------------------------------------------
 
@@ -154,12 +150,13 @@ class Model(NamedQuantities, Viewed):
 
     # -- deriving ----------------------------------------------------------------------------
 
-    def eliminate(self, unknown: Any, using: str, *, solution: Expr | None = None) -> Model:
+    def eliminate(
+        self, unknown: Any, using: str, *, solution: Expr | None = None, hold: Hold = "foh"
+    ) -> Model:
         """Solve the output `using` for an unknown input and substitute it (the indirect model).
 
-        The output becomes a measured input of the same name. Where the output is not linear in
-        the unknown input the solution is not unique: give the branch as `solution`, an expression
-        of states, inputs, parameters and the symbol of the output (see `eliminated_symbol`).
+        The output becomes a measured input, `hold` as of `input`. Where it is not linear in the
+        unknown input, `solution` gives the branch, with `eliminated_symbol` for the output.
 
         Raises
         ------
@@ -189,9 +186,10 @@ class Model(NamedQuantities, Viewed):
                 self.name, expression, measured, self._symbols[name], ca.SX(solution), using
             )
         new._symbols[using] = measured
-        new._measured.append(_Measured(new.inputs[name], using, expression - measured, *places))
-        new.eliminated_units[name] = new.inputs.pop(name).unit
-        new.inputs[using] = Input(using, unit, "measured", "foh")
+        gone = EliminatedWith(new.inputs.pop(name), using, expression - measured, *places)
+        new._measured.append(gone)
+        new.eliminated_units[name] = gone.unknown.unit
+        new.inputs[using] = Input(using, unit, "measured", checked_hold(using, hold))
         new._eliminations.append((name, using, residual))
         new.explicit()  # refuse here, where the user can correct it
         return new
@@ -217,11 +215,11 @@ class Model(NamedQuantities, Viewed):
             gone = kept.pop()
             measured, residual = self._symbols[gone.output], gone.residual
             for stage in new.stages:
-                if stage.channel == gone.output and stage.kind in _SENSED:
+                if stage.channel == gone.output and stage.kind in SENSED:
                     # The output itself is late now; what carried the tangent goes.
                     residual = ca.substitute(residual, self._symbols[stage.carrier], 0)
                     del new.inputs[stage.carrier]
-                    late = replace(stage, kind=_SENSED[stage.kind])
+                    late = replace(stage, kind=SENSED[stage.kind])
                     new.stages = tuple(late if s is stage else s for s in new.stages)
             for blend in new.inputs[gone.output].blends:
                 # An output has no course between its samples: the blend has nothing left to do.

@@ -15,7 +15,15 @@ import numpy as np
 
 from casid.argument_types import methods_name_wrong_types
 from casid.errors import ModelError, nearest, require_texts
-from casid.model.declarations import HOLDS, Expr, Hold, Input, Parameter, State, symbol_name
+from casid.model.declarations import (
+    Expr,
+    Hold,
+    Input,
+    Parameter,
+    State,
+    checked_hold,
+    symbol_name,
+)
 from casid.model.declared_units import numbers_in_si, quantity_of, si_text
 from casid.model.explicit_form import Explicit
 from casid.model.units import difference_from_si, from_si, is_si, to_si, unit_quotient
@@ -75,11 +83,8 @@ class NamedQuantities:
         filtered before it was sampled and holds nothing above half the sampling rate: its course
         between the samples is then determined by all of them (Shannon 1949).
         """
-        if hold not in HOLDS:
-            raise ModelError(
-                f"input {name}: hold={hold!r} is not known; use 'zoh', 'foh' or 'bandlimited'"
-            )
         kind: Literal["known", "measured"] = "known" if known else "measured"
+        hold = checked_hold(name, hold)
         self.inputs[name] = Input(name, self._remember_unit(name, unit), kind, hold)
         return self._declare(name)
 

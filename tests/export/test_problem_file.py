@@ -122,6 +122,23 @@ def test_what_happens_to_whole_columns_is_an_extension(tmp_path: Path) -> None:
     assert "with_unknown(delay_gyro=0.023)" in text
 
 
+def test_the_hold_of_an_output_that_takes_the_place_of_an_input_is_declared(tmp_path: Path) -> None:
+    """As it was found by a diagnosis: band-limited, and nothing else."""
+    fitted = fitted_model(
+        pendulum.problem,
+        [lambda m: casid.hold(m, "accel", "bandlimited")],
+        {"k": 10.4, "d": 0.1, "I_x": 0.14, "smooth_accel": 1.0},
+        x0=(0.01, 0.02),
+        Ts=0.01,
+        N=300,
+    )
+    problem = reloaded(fitted, tmp_path)
+    assert fitted.model.acting_hold("accel") == problem.model.inputs["accel"].hold == "bandlimited"
+    text = (tmp_path / "problem.py").read_text()
+    assert 'model = model.eliminate("a_y", using="accel", hold="bandlimited")' in text
+    assert "casid.hold" not in text
+
+
 def test_actuators_parts_and_limits_are_written(tmp_path: Path) -> None:
     fitted = fitted_model(
         emps.problem,

@@ -232,6 +232,21 @@ def test_an_input_is_eliminated_with_an_output_that_feels_it_through_a_derivativ
     )
 
 
+def test_an_output_that_takes_the_place_of_an_input_has_a_course_between_its_samples() -> None:
+    """An accelerometer behind an anti-alias filter is band-limited, whatever it is solved for."""
+    m = Model("two floors")
+    v, w = m.state("v", "m/s"), m.state("w", "m/s")
+    f, d = m.unknown_input("f", "N"), m.parameter("d", "N s/m")
+    m.balance(v, "lower", inertia=m.constant("m_1", 2.0, "kg"), terms=[f])
+    m.balance(w, "upper", inertia=m.constant("m_2", 1.0, "kg"), terms=[-d * w, -m.der(v)])
+    m.output("a", m.der(v), "m/s^2")
+    m.output("w", w, "m/s")
+    assert m.eliminate(f, using="a").inputs["a"].hold == "foh"
+    assert m.eliminate(f, using="a", hold="bandlimited").inputs["a"].hold == "bandlimited"
+    with pytest.raises(ModelError, match=r"input a: hold='smooth' is not known; use 'zoh', 'foh'"):
+        m.eliminate(f, using="a", hold="smooth")  # type: ignore[arg-type]
+
+
 def test_an_inertia_that_is_nearly_zero_at_one_point_by_chance_is_no_zero():
     """A determinant of coupled inertias is a difference, which some values all but annul.
 
