@@ -30,11 +30,13 @@ def fit_of_short_horizons(
     starts : of the search over the shortest horizon, which few starts are too far from.
 
     None where the model is stable, where the parts are no longer than an e-folding time or begin
-    where another fit has ended, and where no fit over the shortest horizon is found.
+    where another fit has ended, and where no fit over the shortest horizon is found. A record that
+    is to be simulated in windows may have one.
     """
     c, records = criterion, range(len(criterion.data))
     states = [c.names[i] for i in c.initial_states]
-    if max(c.parts(e) for e in records) == 1 or all(c.unknowns.is_given(n) for n in states):
+    is_whole = max(c.parts(e) for e in records) == 1 and not any(e.window for e in c.experiments)
+    if is_whole or all(c.unknowns.is_given(n) for n in states):
         return None
     rate = growth_rate(c)
     if rate == 0.0:
