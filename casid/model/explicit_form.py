@@ -67,6 +67,22 @@ def check_branch(
         )
 
 
+def _undetermined(model: str, lacking: str, inputs: list[str], is_stated: bool) -> ModelError:
+    """The error about a symbol that no equation is left for, although one may state it."""
+    text = f"{model}: the equations do not determine {lacking}; "
+    if lacking in inputs or not (inputs and is_stated):
+        return ModelError(
+            f"{text}an unknown input can only be eliminated with an output that responds to it, "
+            "and an inertia must not be zero"
+        )
+    gone = " and ".join(inputs)
+    return ModelError(
+        f"{text}with {gone} eliminated it cancels: its balance has it in the same sum with {gone} "
+        f"as the output has. Where its position is measured from what {gone} moves, such as the "
+        "ground, measure it from a fixed point, with what acts there as the unknown input"
+    )
+
+
 def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: int) -> Any:
     """Solve matrix @ z = rhs by symbolic Gauss elimination that keeps zeros zero.
 
@@ -88,11 +104,8 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
         if j < n_first and not own:
             borrowed.append(names[j])
         if sizes[best] == 0.0:
-            lacking = (borrowed or [names[j]])[0]
-            raise ModelError(
-                f"{model}: the equations do not determine {lacking}; an unknown input can only be "
-                "eliminated with an output that responds to it, and an inertia must not be zero"
-            )
+            stated = max(size(matrix[i, j]) for i in range(n)) > 0.0
+            raise _undetermined(model, (borrowed or [names[j]])[0], names[:n_first], stated)
         rows.remove(best)
         order.append(best)
         met = [c for c in range(j + 1, n) if not a[best][c].is_zero()]

@@ -247,6 +247,22 @@ def test_an_output_that_takes_the_place_of_an_input_has_a_course_between_its_sam
         m.eliminate(f, using="a", hold="smooth")  # type: ignore[arg-type]
 
 
+def test_a_position_measured_from_a_moving_ground_is_said_to_cancel() -> None:
+    """The floor's accelerometer shows the sum of its own and of the ground's acceleration.
+
+    So does its balance, which holds neither once the one is solved for the other.
+    """
+    m = Model("floor on a shaking ground")
+    x, v, ground = m.state("x", "m"), m.state("v", "m/s"), m.unknown_input("ground", "m/s^2")
+    k, M = m.parameter("k", "N/m"), m.constant("M", 2.0, "kg")
+    m.derivative(x, v)
+    m.balance(v, "floor", inertia=M, terms=[-k * x, -M * ground])
+    m.output("accel", m.der(v) + ground, "m/s^2")
+    m.output("x", x, "m")
+    with pytest.raises(ModelError, match=r"with ground eliminated it cancels.*from a fixed point"):
+        m.eliminate(ground, using="accel")
+
+
 def test_an_inertia_that_is_nearly_zero_at_one_point_by_chance_is_no_zero():
     """A determinant of coupled inertias is a difference, which some values all but annul.
 
