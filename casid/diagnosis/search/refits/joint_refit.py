@@ -26,6 +26,7 @@ from casid.errors import SolveError
 from casid.estimation.nlp.solver import LEADS_TO_KNOWN
 from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.short_horizons import fit_of_short_horizons
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import KINDS, SWITCHED, Effect
 from casid.model.model import Model
@@ -141,7 +142,8 @@ class Refitting:
 
         A model that is far from what was measured fits it with parameters that are far away, too,
         and the way back may lead over a hill. So it may for a change of a parameter of which the
-        fit without it has left next to nothing: that bounds the change.
+        fit without it has left next to nothing: that bounds the change. Over windows of an unstable
+        model the way begins at what fits over a short part of each.
         """
         if not _is_of_lost_parameter(at, effect):
             if error_over_noise(at.fit, at.noise) < RESTARTS.far:
@@ -175,12 +177,15 @@ class Refitting:
             begun = values.get(moved, p.nominal if p is not None else 0.0)
             _keep_sign(model, names[0], begun, effect)
         values = {name: value for name, value in values.items() if name not in names}
+        solver = self.weighing.solver or COMPARED
         criterion = self.weighing.criterion(model, at.noise, values, at.criterion)
+        if not values:
+            short = fit_of_short_horizons(criterion.whitened(None), solver=solver)
+            if short is not None:
+                criterion = self.weighing.criterion(model, at.noise, short.values, at.criterion)
         fit = minimize_simulation_error(
             criterion,
-            solver=replace(
-                self.weighing.solver or COMPARED, below=below, known=_known(criterion, best)
-            ),
+            solver=replace(solver, below=below, known=_known(criterion, best)),
             check_rank=False,
             retry="none",
         )
