@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from casid.diagnosis.evidence.recording_faults.plateaus import Plateaus
 from casid.diagnosis.evidence.recording_faults.rectified_channels import Rectified
 from casid.diagnosis.evidence.recording_faults.spikes import Spikes
 from casid.diagnosis.evidence.recording_faults.stuck_sensors import Standstills
+from casid.diagnosis.evidence.records.signal_sizes import sizes_of
 from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, found_values
 from casid.diagnosis.search.comparison.contributions import contributions_of
 from casid.diagnosis.search.findings import Findings
@@ -28,6 +29,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import ACTS_LATE, ADVANCE, RATE, place_words
+from casid.model.effects.places.places import place_named
 from casid.model.quantities import instant_text, quantity_text
 
 SWITCHED_ON = "not estimated: either present or absent"
@@ -129,7 +131,11 @@ def _adopted(
         where=effect.where,
         p_value=adopted.p_value,
         parameters=parameters,
-        alternatives=(*alternatives, *_aliases(found.search, effect)),
+        alternatives=(
+            *alternatives,
+            *_aliases(found.search, effect),
+            *_as_dry_friction(found, effect, parameters),
+        ),
         sentence=sentence,
         description=effect.description,
         by_record=by_record.get(effect.key, {}),
@@ -272,6 +278,24 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
                 why = f"an advance of {where} looks the same as a delay of {effect.where}"
                 out.append(Alternative(kind, where, 1.0, why, ADVANCE))
     return out[: JUDGING.aliases]
+
+
+def _as_dry_friction(
+    found: Findings, effect: Effect, parameters: Sequence[Estimated]
+) -> list[Alternative]:
+    """Dry friction where a constant force opposes a motion that never reverses: the same there."""
+    if effect.kind != "offset" or effect.sets_in or not parameters:
+        return []
+    place = place_named(found.at.model, effect.where)
+    if not place.is_mechanical or place.is_relative:
+        return []
+    motion = sizes_of(found.at, found.search.recorded).motion_of(place.velocity)
+    if not motion.is_signed or motion.mean * parameters[0].value >= 0.0:
+        return []
+    why = (
+        f"is the same constant force where {place.velocity_name} keeps its sign, as in this record"
+    )
+    return [Alternative("coulomb_friction", effect.where, 1.0, why, has_reason=True)]
 
 
 def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:

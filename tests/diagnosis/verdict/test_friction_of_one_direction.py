@@ -1,0 +1,48 @@
+"""A constant force that opposes a motion which never reverses may be dry friction: they are one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+import casid
+
+TS, N, INERTIA, DRAG = 0.05, 1200, 0.4, 0.5
+
+
+def rotor() -> casid.Problem:
+    m = casid.Model("rotor")
+    drive = m.input("drive", "N m", hold="zoh", known=True)
+    w = m.state("w", "rad/s")
+    J = m.parameter("J", "kg m^2", start=0.3, lower=0.01, upper=5.0)
+    b = m.parameter("b", "N m s/rad", start=0.4, lower=0.0, upper=5.0)
+    m.balance(w, "torque", inertia=J, terms=[drive, -b * w], unit="N m")
+    m.output("speed", w, "rad/s")
+    return casid.Problem("rotor", m)
+
+
+def record(constant: float) -> casid.Record:
+    """A rotor under steps of its drive that never stop it, and a constant torque."""
+    rng = np.random.default_rng(11)
+    drive = np.repeat(rng.uniform(2.0, 6.0, N // 40), 40)
+    (b, a, _) = cont2discrete(([1.0], [INERTIA, DRAG]), TS, "zoh")
+    speed = lfilter(b.ravel(), a, drive + constant) + 0.02 * rng.standard_normal(N)
+    channels = {"drive": drive[200:], "speed": speed[200:]}  # behind the run-up from rest
+    return casid.Record(channels, {"drive": "N m", "speed": "rad/s"}, Ts=TS)
+
+
+@pytest.mark.parametrize(("constant", "opposes"), [(-0.8, True), (0.8, False)])
+def test_a_constant_torque_may_be_dry_friction_where_it_opposes_a_rotation_of_one_direction(
+    constant: float, opposes: bool
+) -> None:
+    found = casid.diagnose(rotor(), record(constant))
+    (cause,) = found.causes
+    assert (cause.kind, cause.where) == ("offset", "torque")
+    size = cause.parameters[0]
+    assert abs(size.value - constant) < 3 * size.std_error
+    friction = [a for a in cause.alternatives if a.kind == "coulomb_friction"]
+    assert len(friction) == opposes
+    assert ("dry friction" in found.sentence) is opposes
+    for a in friction:
+        assert a.why == "is the same constant force where w keeps its sign, as in this record"
