@@ -145,7 +145,7 @@ def _adopted(
 
 def _alternative(adopted: Adopted, rival: Rival) -> Alternative:
     """A rival that the record cannot reject, or that none can: the same term of the equations."""
-    effect, why = rival.candidate.effect, why_alternative(adopted.candidate, rival.candidate)
+    effect, why = rival.candidate.effect, why_alternative(adopted.candidate, rival)
     if adopted.is_same_term(effect):
         as_one = f"as a {effect.shape}, " if effect.shape and effect.end is None else ""
         why = f"{as_one}is the same term: no record of these channels can separate them"

@@ -11,8 +11,8 @@ from casid.arrays import TINY
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.disturbances import Disturbance, is_seen, shown_source
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
-from casid.diagnosis.search.candidates import Candidate
-from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
+from casid.diagnosis.search.candidates import Candidate, Rival
+from casid.diagnosis.thresholds import COMPARISON, DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import NO_DOUBTS, Alternative, Cause, Doubts, Verdict
 from casid.model.effects.channels.channel_effects import COURSES
 from casid.model.effects.effect import OF_SAMPLES, Effect
@@ -308,14 +308,17 @@ def separates(kind: str, where: str = "", description: str = "") -> str:
     return text.format(where=channel, source=source or "the state")
 
 
-def why_alternative(best: Candidate, other: Candidate) -> str:
+def why_alternative(best: Candidate, rival: Rival) -> str:
     """Why a rival cannot be rejected; what would separate it is the advice's matter."""
+    other = rival.candidate
     gap = best.merit - other.merit
     by = f"{abs(gap):.1f}"
     lasts = other.effect.is_on_the_clock and other.effect.end is None
     as_one = f"as a {other.effect.shape}, " if lasts and other.effect.kind in _STEADY else ""
     if by == "0.0":
         return f"{as_one}explains the misfit equally well"
+    if gap > COMPARISON.strong and rival.p_value >= 0.5:
+        return f"{as_one}fits as closely, but noise of inputs has a part in that (BIC {by} worse)"
     word = "worse" if gap >= 0 else "better"
     how = "as well" if abs(gap) <= DESCRIPTION.as_well else word
     return f"{as_one}explains the misfit {how} (BIC {by} {word})"

@@ -292,21 +292,28 @@ def test_a_p_value_that_speaks_for_neither_is_left_out(p_value: float, said: str
 
 
 @pytest.mark.parametrize(
-    ("gap", "said"),
-    [(0.0, "equally well"), (1.5, "as well (BIC 1.5 worse)"), (9.0, "the misfit worse (BIC 9.0 w"),
-     (-33.3, "explains the misfit better (BIC 33.3 better)")],
+    ("gap", "p_value", "said"),
+    [(0.0, 0.5, "equally well"), (1.5, 0.3, "as well (BIC 1.5 worse)"),
+     (9.0, 0.1, "the misfit worse (BIC 9.0 w"), (-33.3, 0.9, "the misfit better (BIC 33.3 better)"),
+     (71.2, 0.8, "fits as closely, but noise of inputs has a part in that (BIC 71.2 worse)")],
 )  # fmt: skip
-def test_an_alternative_is_described_as_its_bic_says(gap: float, said: str):
+def test_an_alternative_is_described_as_its_bic_says(gap: float, p_value: float, said: str):
+    """BIC counts what is left without the part of the inputs' noise; p counts all of it."""
     effect = SimpleNamespace(kind="offset", is_on_the_clock=False)
     best, other = (SimpleNamespace(merit=m, effect=effect) for m in (gap, 0.0))
-    assert said in why_alternative(best, other)
+    assert said in why_alternative(best, rival_of(other, p_value))
 
 
 def test_what_is_over_again_is_no_step():
     effect = SimpleNamespace(kind="offset", is_on_the_clock=True, shape="step", end=None)
-    assert why_alternative(effect_at(effect), effect_at(effect)).startswith("as a step, ")
+    best, other = effect_at(effect), rival_of(effect_at(effect))
+    assert why_alternative(best, other).startswith("as a step, ")
     effect.end = 40.0
-    assert why_alternative(effect_at(effect), effect_at(effect)).startswith("explains")
+    assert why_alternative(best, other).startswith("explains")
+
+
+def rival_of(candidate: SimpleNamespace, p_value: float = 0.5) -> SimpleNamespace:
+    return SimpleNamespace(candidate=candidate, p_value=p_value)
 
 
 def effect_at(effect: SimpleNamespace) -> SimpleNamespace:
