@@ -284,10 +284,11 @@ def _as_dry_friction(
     found: Findings, effect: Effect, parameters: Sequence[Estimated]
 ) -> list[Alternative]:
     """Dry friction where a constant force opposes a motion that never reverses: the same there."""
-    if effect.kind != "offset" or effect.sets_in or not parameters:
+    model = found.at.model
+    if effect.kind != "offset" or effect.sets_in or effect.where not in model.balances:
         return []
-    place = place_named(found.at.model, effect.where)
-    if not place.is_mechanical or place.is_relative:
+    place = place_named(model, effect.where)
+    if not place.is_mechanical or not parameters:
         return []
     motion = sizes_of(found.at, found.search.recorded).motion_of(place.velocity)
     if not motion.is_signed or motion.mean * parameters[0].value >= 0.0:
