@@ -293,9 +293,7 @@ def _as_dry_friction(
     motion = sizes_of(found.at, found.search.recorded).motion_of(place.velocity)
     if not motion.is_signed or motion.mean * parameters[0].value >= 0.0:
         return []
-    why = (
-        f"is the same constant force where {place.velocity_name} keeps its sign, as in this record"
-    )
+    why = f"acts as the same constant where {place.velocity_name} keeps its sign, as in this record"
     return [Alternative("coulomb_friction", effect.where, 1.0, why, has_reason=True)]
 
 

@@ -45,4 +45,4 @@ def test_a_constant_torque_may_be_dry_friction_where_it_opposes_a_rotation_of_on
     assert len(friction) == opposes
     assert ("dry friction" in found.sentence) is opposes
     for a in friction:
-        assert a.why == "is the same constant force where w keeps its sign, as in this record"
+        assert a.why == "acts as the same constant where w keeps its sign, as in this record"
