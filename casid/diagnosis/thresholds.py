@@ -965,6 +965,12 @@ class Rounds:
         "where it loses more, its fit went astray",
         f"{TESTS}/search/adoption/test_refinement.py",
     )
+    beside: int = _is(
+        2,
+        "causes sought beside a random disturbance before any is sought without one: misfit that "
+        "more of them explain is none",
+        f"{TESTS}/test_cases.py",
+    )
     frictions: int = _is(
         2,
         "laws of friction or damping adopted in one place: a third repairs their shape",

@@ -22,7 +22,7 @@ from casid.diagnosis.search.instants.instant_errors import with_instant_errors
 from casid.diagnosis.search.noise_assumptions.disturbance_rival import (
     Beside,
     leaves_only_disturbance,
-    searched_beside,
+    searched_beside_first,
     weighed_against_disturbances,
 )
 from casid.diagnosis.search.noise_assumptions.first_cause import (
@@ -242,8 +242,8 @@ def _found(
         if seen is not None and seen.leaves_noise:
             first = seen.effects
         elif seen is not None:
-            again = search.with_disturbances()
-            beside = attempt(what, lambda: searched_beside(again, seen.at, baseline, settings))
+            first_few = partial(searched_beside_first, search, seen.at, baseline, settings)
+            beside = attempt(what, first_few)
             if beside and attempt(what, lambda: leaves_only_disturbance(search, beside)):
                 return beside.search, beside.bare, beside.found
             if beside and beside.found.fit is not None:

@@ -55,6 +55,7 @@ from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings
+from casid.diagnosis.thresholds import ROUNDS
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -221,6 +222,22 @@ def searched_beside(
     if other.adopted:
         score = _score(other.at, other.adopted, search=again, counted=bare.criterion)
     return Beside(again, of, other, score, bare)
+
+
+def searched_beside_first(
+    search: Search, bare: Weighted, baseline: Baseline, settings: DiagnosisSettings
+) -> Beside | None:
+    """Search for few causes beside disturbances; None where more are to be named beside them.
+
+    Misfit that passes for a disturbance is made of one law after the other there.
+    """
+    again = search.with_disturbances()
+    few = replace(again, max_causes=min(again.max_causes, ROUNDS.beside))
+    beside = searched_beside(few, bare, baseline, settings)
+    found = beside.found
+    if few.max_causes < again.max_causes and len(found.adopted) == few.max_causes:
+        return beside if _is_complete(found, found.at, again) else None
+    return beside
 
 
 def leaves_only_disturbance(search: Search, beside: Beside) -> bool:
