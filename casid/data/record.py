@@ -115,7 +115,7 @@ class Record(RecordMethods, Presented, PickledByFields):
         set_field(self, "t0", float(self.t0))
         set_field(self, "provenance", tuple(self.provenance))
         if not self.clock:
-            object.__delattr__(self, "clock")  # named when it is first asked for
+            object.__delattr__(self, "clock")  # `__getattr__` fills it when it is first read
 
     if not TYPE_CHECKING:  # as an attribute that any name may be, for a type checker
 

@@ -215,7 +215,7 @@ def unlike_held_out(
 def unlike_under_disturbance(at: Weighted, split: Split) -> str:
     """`unlike_held_out` for a model under a disturbance: the innovations are compared.
 
-    Kept for the last models, of which it is asked for the verdict, its reasons and its doubts.
+    Cached for the last few models: the verdict, its reasons and its doubts each ask for it.
 
     A narrow-band disturbance has few independent samples, so the RMS simulation error differs from
     part to part by chance; the errors that their past does not predict are nearly independent.
