@@ -7,36 +7,26 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import casid
+from tests.diagnosis.search.noise_assumptions.test_first_cause import spindle
 
 TS, N, INERTIA, DRAG = 0.05, 1200, 0.4, 0.5
 
 
-def rotor() -> casid.Problem:
-    m = casid.Model("rotor")
-    drive = m.input("drive", "N m", hold="zoh", known=True)
-    w = m.state("w", "rad/s")
-    J = m.parameter("J", "kg m^2", start=0.3, lower=0.01, upper=5.0)
-    b = m.parameter("b", "N m s/rad", start=0.4, lower=0.0, upper=5.0)
-    m.balance(w, "torque", inertia=J, terms=[drive, -b * w], unit="N m")
-    m.output("speed", w, "rad/s")
-    return casid.Problem("rotor", m)
-
-
 def record(constant: float) -> casid.Record:
-    """A rotor under steps of its drive that never stop it, and a constant torque."""
+    """A spindle under steps of its drive that never stop it, and a constant torque."""
     rng = np.random.default_rng(11)
     drive = np.repeat(rng.uniform(2.0, 6.0, N // 40), 40)
     (b, a, _) = cont2discrete(([1.0], [INERTIA, DRAG]), TS, "zoh")
     speed = lfilter(b.ravel(), a, drive + constant) + 0.02 * rng.standard_normal(N)
-    channels = {"drive": drive[200:], "speed": speed[200:]}  # behind the run-up from rest
-    return casid.Record(channels, {"drive": "N m", "speed": "rad/s"}, Ts=TS)
+    channels = {"u": drive[200:], "speed": speed[200:]}  # behind the run-up from rest
+    return casid.Record(channels, {"u": "N m", "speed": "rad/s"}, Ts=TS)
 
 
 @pytest.mark.parametrize(("constant", "opposes"), [(-0.8, True), (0.8, False)])
 def test_a_constant_torque_may_be_dry_friction_where_it_opposes_a_rotation_of_one_direction(
     constant: float, opposes: bool
 ) -> None:
-    found = casid.diagnose(rotor(), record(constant))
+    found = casid.diagnose(spindle(), record(constant))
     (cause,) = found.causes
     assert (cause.kind, cause.where) == ("offset", "torque")
     size = cause.parameters[0]
