@@ -121,6 +121,7 @@ def weighed_against_disturbances(
     found = found if found.adopted else replace(found, at=start)
     score, is_random, nothing = math.inf, False, score_of(bare)
     found = without_replaceable(again, found, baseline, search, settings)
+    own: Weighted | None = None
     if found.adopted and found.fit is not None:
         if not found.at.noise_absorbs_misfit and score_of(found.at, found.adopted) < nothing:
             return search, start, _charged(found, bare, search)  # likelier with no disturbance
@@ -144,10 +145,11 @@ def weighed_against_disturbances(
             if before is None or not is_named or not _predicts_better(found, before.found, split):
                 return search, start, found
             return replace(before.search, refused=search.refused), before.bare, before.found
-        if not is_random and _is_complete(found, own, again):
-            again = replace(again, max_causes=min(again.max_causes, len(found.adopted)))
     beside = before if before is not None and before.of is bare else None
-    beside = beside or searched_beside(again, bare, baseline, settings)
+    if beside is None:
+        if own is not None and not is_random and _is_complete(found, own, again):
+            again = replace(again, max_causes=min(again.max_causes, len(found.adopted)))
+        beside = searched_beside(again, bare, baseline, settings)
     _add_refused(search, beside.search.refused)
     other = beside.found
     if beside.is_likelier and beside.score < min(score, nothing):
