@@ -388,26 +388,29 @@ class Selection:
 
     def refine(self, refine: Refinement) -> None:
         """Refine what was adopted by now, before a further cause makes up for what is inexact."""
-        contact = {CONTACT: partial(with_first_contact, refine)}
         is_disturbed = self.search.weighing.takes_disturbances
-        of_all: dict[str, Callable[[Adoption], Adoption]] = {
+        steps: dict[str, Callable[[Adoption], Adoption]] = {
             BESIDE: partial(with_last_change_placed, refine),
             EVENT: partial(with_last_event_renamed, refine),
             SHARPNESS: partial(with_sharp_friction, refine, most=FRICTION.samples),
             MOTION: refine.with_initial_motion,
-            **contact,
+            CONTACT: partial(with_first_contact, refine),
             POWERS: partial(with_better_powers, refine),
             PREDICTION: refine.with_better_rivals,
         }
         if self.adopted[-1].candidate.effect.kind != "coulomb_friction":
-            del of_all[SHARPNESS]
-        for what, step in (contact if is_disturbed else of_all).items():
+            del steps[SHARPNESS]
+        if is_disturbed:
+            steps = {CONTACT: steps[CONTACT]}
+        for what, step in steps.items():
             found = self.search.attempts.attempt(what, partial(step, self.found))
             if found is not None and found.fit is not None and found.fit is not self.fit:
                 self.adopted, self.at, self.fit = list(found.adopted), found.at, found.fit
-                last = self.adopted[-1].candidate
-                errors = simulation_errors(self.fit, self.split, self.units)
-                self.errors = self._errors(last) if is_disturbed else errors
+                self.errors = (
+                    self._errors(self.adopted[-1].candidate)
+                    if is_disturbed
+                    else simulation_errors(self.fit, self.split, self.units)
+                )
 
     def _exchange(self, taken: Adopted, other: Candidate) -> bool:
         """Take another candidate in the place of the last one, if it leaves noise alone."""
