@@ -91,6 +91,11 @@ class Adopted:
         return (*rivals, *(c for c in self.near if c.effect.key not in known))
 
 
+def as_placed(adopted: Sequence[Adopted], placed: Sequence[Candidate]) -> list[Adopted]:
+    """The same causes, each with its candidate as another model has it."""
+    return [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
+
+
 def null_values(candidate: Candidate) -> dict[str, float]:
     """The values of an effect's parameters at which it does nothing."""
     effect, nowhere = candidate.effect, 1 / TINY  # the limit of a clipping that cuts off nothing

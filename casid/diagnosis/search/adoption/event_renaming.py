@@ -17,7 +17,7 @@ import numpy as np
 
 from casid.diagnosis.evidence.scores.score_tests import scan
 from casid.diagnosis.search.adoption.refinement import Adoption, Refinement, whole_fit
-from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
+from casid.diagnosis.search.candidates import Adopted, Candidate, as_placed, name_of
 from casid.diagnosis.search.comparison.simulation_errors import (
     on_common_samples,
     simulation_errors,
@@ -95,7 +95,7 @@ def _renamed(
     judged = _judged(refine, adopted[-1], placed[-1], alone)
     if judged is None:
         return None
-    kept = [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
+    kept = as_placed(adopted, placed)
     return [*kept[:-1], replace(adopted[-1], candidate=judged, rivals=(), near=())], alone
 
 

@@ -11,9 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
-from casid.diagnosis.evidence.whitening.weighted_model import minus_log_likelihood
 from casid.diagnosis.search.adoption.refinement import Adoption, Refinement
 from casid.diagnosis.search.candidates import name_of
 from casid.model.effects.channels.actuator_effects import input_backlash
@@ -48,11 +45,7 @@ def _begun_where_likeliest(refine: Refinement, found: Adoption) -> Adoption:
     placed, best = min(begun, key=lambda tried: tried[1].solution.value)
     if not best.solution.value < fit.solution.value:
         return found
-    adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
-    new = refine.reweighed(found, adopted, best)
-    price = 0.5 * float(np.log(best.criterion.n_samples))
-    gain = minus_log_likelihood(found.at) - minus_log_likelihood(new.at)
-    return new if gain > price else found
+    return refine.if_worth(found, placed, best, 1)
 
 
 def _is_played(model: Model, effect: Effect) -> bool:

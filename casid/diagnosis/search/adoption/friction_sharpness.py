@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 
 from casid.diagnosis.search.adoption.refinement import Adoption, Refinement
-from casid.diagnosis.search.candidates import Adopted, name_of
+from casid.diagnosis.search.candidates import Adopted, as_placed, name_of
 from casid.diagnosis.search.refits.friction_speeds import likeliest_speed, steps_needed
 from casid.diagnosis.search.refusals import SUPERFLUOUS
 from casid.diagnosis.thresholds import FRICTION
@@ -122,4 +122,4 @@ def _at_speed(
         return list(adopted), near
     causes[i] = replace(causes[i], effect=effect)
     placed, fit = refine.with_causes(causes, near, substeps)
-    return [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)], fit
+    return as_placed(adopted, placed), fit

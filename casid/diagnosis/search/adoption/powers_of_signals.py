@@ -22,7 +22,7 @@ from casid.diagnosis.search.adoption.refinement import (
     values_by_new_names,
     whole_fit,
 )
-from casid.diagnosis.search.candidates import Candidate, extended_by, name_of
+from casid.diagnosis.search.candidates import Candidate, as_placed, extended_by, name_of
 from casid.diagnosis.search.comparison.simulation_errors import on_common_samples, simulation_errors
 from casid.diagnosis.thresholds import COMPARISON
 from casid.estimation.simulation.minimization import Fit
@@ -126,7 +126,7 @@ def _by_the_better(
     )
     if not after.square < before.square or after.held_out_square > before.held_out_square:
         return found
-    adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
+    adopted = as_placed(found.adopted, placed)
     at = refine.search.weighing.weigh(new.criterion.model, new, rounds=1)
     if least and not 2 * (minus_log_likelihood(found.at) - minus_log_likelihood(at)) > least:
         return found

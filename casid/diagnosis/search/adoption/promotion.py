@@ -11,7 +11,14 @@ from dataclasses import replace
 
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.adoption.refinement import Adoption, values_by_new_names, whole_fit
-from casid.diagnosis.search.candidates import Adopted, Candidate, extended_by, is_needed, name_of
+from casid.diagnosis.search.candidates import (
+    Adopted,
+    Candidate,
+    as_placed,
+    extended_by,
+    is_needed,
+    name_of,
+)
 from casid.diagnosis.search.comparison.simulation_errors import on_common_samples, simulation_errors
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import COMPARISON, JUDGING
@@ -82,7 +89,7 @@ def _in_its_place(
         return found  # the cause predicts better, by more than chance
     if after.square > (1 + JUDGING.practical) * before.square:
         return found  # likelier beside a disturbance, and yet it simulates worse
-    adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
+    adopted = as_placed(found.adopted, placed)
     least = rival.merit - COMPARISON.strong
     left = (r for r in adopted[i].rivals if r.candidate.effect.key != rival.effect.key)
     adopted[i] = replace(adopted[i], rivals=tuple(r for r in left if r.candidate.merit > least))

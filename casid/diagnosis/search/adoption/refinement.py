@@ -31,6 +31,7 @@ from casid.diagnosis.search.candidates import (
     Adopted,
     Candidate,
     Rival,
+    as_placed,
     extended_by,
     is_needed,
     name_of,
@@ -167,9 +168,7 @@ class Refinement:
                 placed, other, after = tried
                 own = adopted[i].candidate
                 if self._is_preferred(own, bare, errors, after, is_limit=is_limit):
-                    adopted = [
-                        replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)
-                    ]
+                    adopted = as_placed(adopted, placed)
                     adopted[i] = exchanged(found.adopted[i], placed[i])
                     fit, errors, is_new = other, after, True
         return self.reweighed(found, adopted, fit) if is_new else found
@@ -195,10 +194,14 @@ class Refinement:
         causes = [a.candidate for a in found.adopted]
         causes[-1] = replace(causes[-1], effect=in_motion(self.start.model, causes[-1]))
         placed, other = self.with_causes(causes, fit)
-        adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
-        new = self.reweighed(found, adopted, other)
-        more = len(other.x) - len(fit.x)
-        price = 0.5 * more * float(np.log(other.criterion.n_samples))
+        return self.if_worth(found, placed, other, len(other.x) - len(fit.x))
+
+    def if_worth(
+        self, found: Adoption, placed: Sequence[Candidate], fit: Fit, more: int
+    ) -> Adoption:
+        """The causes as in another fit, with more unknowns, where that pays for them (Schwarz)."""
+        new = self.reweighed(found, as_placed(found.adopted, placed), fit)
+        price = 0.5 * more * float(np.log(fit.criterion.n_samples))
         gain = minus_log_likelihood(found.at) - minus_log_likelihood(new.at)
         return new if gain > price else found
 
@@ -222,7 +225,7 @@ class Refinement:
             placed, other = self.with_causes(causes, fit)
             if not other.solution.value < fit.solution.value:
                 break
-            adopted = [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
+            adopted = as_placed(adopted, placed)
             fit = other
         return found if fit is found.fit else self.reweighed(found, adopted, fit)
 
@@ -246,7 +249,7 @@ class Refinement:
         if found.fit is None:
             return found
         placed, fit = self.with_causes([a.candidate for a in found.adopted], found.fit)
-        adopted = [replace(a, candidate=c) for a, c in zip(found.adopted, placed, strict=True)]
+        adopted = as_placed(found.adopted, placed)
         new = refined(replace(found, adopted=tuple(adopted), fit=fit))
         return min(found, new, key=lambda each: minus_log_likelihood(each.at))
 
