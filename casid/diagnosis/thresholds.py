@@ -512,6 +512,12 @@ class Residual:
         _RESIDUAL,
     )
     functions: int = _is(3, "functions that this share is taken of, at most", _RESIDUAL)
+    beyond_doubt: float = _is(
+        1e-8,
+        "p of the dependence below which no refit beside a random disturbance makes a residual "
+        "random: where one did, it was at least 1e-4 before",
+        f"{TESTS}/search/disturbance/test_disturbance_price.py",
+    )
     rare: float = _is(
         0.05,
         "of the samples, with the other sign: with fewer the sign counts as constant, as a few "

@@ -45,7 +45,7 @@ from casid.diagnosis.search.comparison.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
-from casid.diagnosis.search.disturbance.disturbance_price import pays
+from casid.diagnosis.search.disturbance.disturbance_price import is_random, pays
 from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside, sole_disturbance
 from casid.diagnosis.search.refits.soft_stops import is_soft_stop
 from casid.diagnosis.search.refusals import ACCEPTED, LEAVES_MORE, Refusal
@@ -355,10 +355,8 @@ class Selection:
 
     def _is_random(self) -> bool:
         """True if nothing but a random disturbance shows in what is left: no two effects then."""
-        search = self.search
         what = "the test of the remainder beside a random disturbance"
-        at = search.attempts.attempt(what, lambda: search.under_disturbance(self.fit))
-        return at is not None and not is_more_than_noise(at, search.with_disturbances())
+        return bool(self.search.attempts.attempt(what, lambda: is_random(self.search, self.fit)))
 
     def _with(self, first: Adopted) -> Selection:
         """The selection as it would be with one more effect, whatever the errors say."""

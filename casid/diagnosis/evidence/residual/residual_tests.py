@@ -182,6 +182,28 @@ def residual_tests(
     )
 
 
+def depends_beyond_doubt(
+    at: Weighted,
+    experiments: Sequence[Experiment],
+    recorded: Mapping[str, str] | None = None,
+    *,
+    seed: int = 0,
+) -> bool:
+    """True if a residual depends on states or inputs whatever random force acts as well.
+
+    The test of the dependence alone, at a level that no refit under that force brings down: the
+    functions are regressed off the model's tangent, on which a refit moves. Parameters as of
+    `residual_tests`.
+    """
+    criterion = (at.unbiased or at.fit).criterion
+    places = len(criterion.model.balances) + len(criterion.outputs)
+    for _, _, regression in regressions(at, experiments, recorded, seed=seed):
+        smallest = min((t.adjusted for t in regression.test()), default=1.0)
+        if places * smallest < RESIDUAL.beyond_doubt:
+            return True
+    return False
+
+
 def with_constancy(
     tests: ResidualTests,
     at: Weighted,

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from casid.arrays import TINY
+from casid.diagnosis.evidence.residual.residual_tests import depends_beyond_doubt
 from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
 from casid.diagnosis.search.candidates import Candidate
@@ -41,10 +42,32 @@ def explaining_disturbance(search: Search, start: Weighted, fit: Fit) -> Weighte
     ----------
     start, fit : as for `under_likelier_disturbance`.
     """
+    if not start.noise_absorbs_misfit or is_no_disturbance(search, fit):
+        return None
     bare = under_likelier_disturbance(search, start, fit)
     if bare is None or is_more_than_noise(bare, search.with_disturbances()):
         return None
     return bare
+
+
+def is_random(search: Search, fit: Fit) -> bool:
+    """True if nothing but a random disturbance shows in what a fit leaves."""
+    if is_no_disturbance(search, fit):
+        return False
+    return not is_more_than_noise(search.under_disturbance(fit), search.with_disturbances())
+
+
+def is_no_disturbance(search: Search, fit: Fit) -> bool:
+    """True if what a fit leaves depends on states or inputs, whatever disturbance acts as well.
+
+    Its spectra are those that the residual shows there. To fit the model again under them, from
+    several starts, takes ten times as long, and is of no use.
+    """
+    if fit in search.memory.disturbed:
+        return False
+    of = search.weighing.with_disturbances()
+    here = of.estimated(fit)
+    return depends_beyond_doubt(here, of.experiments, search.recorded, seed=of.seed)
 
 
 def as_white(fit: Fit) -> float:

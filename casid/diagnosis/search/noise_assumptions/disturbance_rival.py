@@ -48,7 +48,11 @@ from casid.diagnosis.search.comparison.simulation_errors import (
     simulation_errors,
     why_not_adopted,
 )
-from casid.diagnosis.search.disturbance.disturbance_price import as_white, price_of
+from casid.diagnosis.search.disturbance.disturbance_price import (
+    as_white,
+    is_no_disturbance,
+    price_of,
+)
 from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside, sole_disturbance
 from casid.diagnosis.search.refusals import ACCEPTED, RANDOM, Refusal
 from casid.diagnosis.search.residual_check import is_more_than_noise
@@ -308,6 +312,8 @@ def without_replaceable(
     def why(cause: Adopted, fit: Fit, without: Fit) -> Refusal:
         """Why a cause is not needed beside a disturbance, if it is not."""
         if cause not in doubted or _foresees(without, fit, split) or not is_sound(without):
+            return ACCEPTED
+        if is_no_disturbance(search, without):
             return ACCEPTED
         beside, instead = search.under_disturbance(fit), search.under_disturbance(without)
         score_of = partial(_score, search=search, counted=base.criterion)
