@@ -4,11 +4,20 @@ The sandwich  P = H^-1 (sum_{|l| <= L} w_l Gamma_l) H^-1  of the scores s_k = J_
 Gamma_l = sum_k s_k s_{k-l}' and Bartlett weights w_l = 1 - |l|/(L+1), is consistent for
 autocorrelated and heteroscedastic residuals (Newey and West 1987); the number of lags L follows
 Andrews (1991, (6.2) and (6.4)) from first-order autoregressions of the scores.
+
+The residuals r of a fit are (I - J H^-1 J') e of the errors e: where few samples determine an
+unknown, the fit takes most of the error out of just these, and the sum of their scores is nearly
+zero. Under white errors of variance s^2 the sum above lacks on average
+
+    s^2 sum_{|l| <= L} w_l sum_k A_k H^-1 A_{k-l},    A_k = J_k' J_k,                           (1)
+
+which `taken_by_fit` gives back: with no lags that is the bias which MacKinnon and White (1985)
+remove sample by sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,6 +113,54 @@ def sandwich(
     # Fitted residuals are smaller than the errors: the usual degrees-of-freedom factor.
     count, fitted = scores.shape[0], basis.shape[1]
     return covariance * (count / max(count - fitted, 1)), lags
+
+
+def robust_covariance(
+    residuals: Sequence[Array], jacobians: Sequence[Array], hessian: Array, free: Array
+) -> tuple[Array, int]:
+    """Covariance of a least-squares estimate, (n, n), with (1), and the lags used.
+
+    Parameters
+    ----------
+    residuals, jacobians : (N, ny) and (N, ny, n) of each record, of unit weight; zero where no
+        sample is.
+    hessian, free : as of `sandwich`.
+    """
+    index = np.flatnonzero(free)
+    scores = [np.einsum("ki,kin->kn", r, j) for r, j in zip(residuals, jacobians, strict=True)]
+    robust, lags = sandwich(hessian, np.concatenate(scores), free)
+    inverse = scaled_inverse(hessian[np.ix_(index, index)])
+    samples = sum(int(np.count_nonzero(np.any(j, axis=2))) for j in jacobians)
+    squares = sum(float(np.sum(r**2)) for r in residuals)
+    variance = squares / max(samples - len(index), 1)
+    taken = sum(taken_by_fit(j[:, :, index], inverse, lags) for j in jacobians)
+    robust[np.ix_(index, index)] += variance * (inverse @ taken @ inverse)
+    return robust, lags
+
+
+def taken_by_fit(jacobian: Array, inverse: Array, lags: int) -> Array:
+    """What (1) gives back for errors of unit variance, (n, n).
+
+    Parameters
+    ----------
+    jacobian : (N, ny, n) of one record.
+    inverse : (n, n) H^-1.
+    """
+    samples, _, n = jacobian.shape
+    total = np.zeros((n, n))
+    # As in `long_run_covariance`: a sum of products of moving sums, some windows at a time.
+    length = min(lags, samples - 1) + 1
+    for first in range(0, samples + length - 1, 1 << 11):
+        last = np.arange(first, min(first + (1 << 11), samples + length - 1)) + 1
+        start = max(first + 1 - length, 0)
+        part = jacobian[start : last[-1]]
+        information = np.einsum("kin,kim->knm", part, part)
+        sums = np.concatenate([np.zeros((1, n, n)), np.cumsum(information, axis=0)])
+        ends = np.minimum(last, samples) - start
+        begins = np.maximum(last - length, start) - start
+        window = sums[ends] - sums[begins]
+        total += np.einsum("wij,jk,wkl->il", window, inverse, window, optimize=True)
+    return np.asarray(total / length)
 
 
 def autocorrelation(residual: Array, lags: int) -> Array:

@@ -12,8 +12,10 @@ from casid.estimation.covariance import (
     autocorrelation,
     bartlett_lags,
     long_run_covariance,
+    robust_covariance,
     sample_through,
     sandwich,
+    taken_by_fit,
     whiteness,
 )
 from casid.estimation.simulation.minimization import minimize_simulation_error
@@ -69,6 +71,41 @@ def test_white_residuals_give_the_least_squares_covariance():
     theory = 0.25 * np.linalg.inv(J.T @ J)
     # A variance from n samples has relative error sqrt(2 / n) = 2 %; some lags add as much each.
     assert np.diag(P) == pytest.approx(np.diag(theory), rel=0.12)
+
+
+@pytest.mark.parametrize("lags", [0, 3, 60])
+def test_what_a_fit_takes_of_its_scores_is_the_bartlett_sum(lags):
+    """Sum over k and |l| <= L of w_l A_k H^-1 A_{k-l}, A_k = J_k' J_k, of 50 samples."""
+    J = np.random.default_rng(3).normal(size=(50, 2, 3))
+    A, P = np.einsum("kin,kim->knm", J, J), np.linalg.inv(np.einsum("kin,kim->nm", J, J))
+    total = np.zeros((3, 3))
+    length = min(lags, 49) + 1
+    for k in range(50):
+        for m in range(max(k - length + 1, 0), min(k + length, 50)):
+            total += (1 - abs(k - m) / length) * A[k] @ P @ A[m]
+    assert taken_by_fit(J, P, lags) == pytest.approx(total, rel=1e-9, abs=1e-12)
+
+
+def test_the_error_of_what_one_sample_determines_is_that_of_the_sample():
+    """A knock takes all of the error out of its sample: its scores say that it is exact."""
+    n, sd = 400, 0.5
+    rng = np.random.default_rng(3)
+    J = np.stack([rng.normal(size=n), np.arange(n) == 200], axis=1)
+    free, H = np.ones(2, dtype=bool), J.T @ J
+    found, without, z = [], [], []
+    for _ in range(200):
+        e = sd * rng.normal(size=n)
+        x = np.linalg.lstsq(J, e, rcond=None)[0]
+        r = e - J @ x
+        P, _ = robust_covariance([r[:, None]], [J[:, None, :]], H, free)
+        found.append(P[1, 1])
+        without.append(sandwich(H, J * r[:, None], free)[0][1, 1])
+        z.append(x[1] / np.sqrt(P[1, 1]))
+    # sd^2 times 1 and the relative error of a variance from 400 samples, sqrt(2 / 400) = 7 %.
+    assert np.mean(found) == pytest.approx(sd**2, rel=0.03)
+    assert np.max(without) < 1e-2 * sd**2
+    # 200 draws of a standard normal: 95 % within 1.96, give or take 3 times 1.5 %.
+    assert np.mean(np.abs(z) < 1.96) == pytest.approx(0.95, abs=0.046)
 
 
 def test_a_constraint_takes_its_direction_out_of_the_covariance():

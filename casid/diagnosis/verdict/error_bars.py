@@ -13,11 +13,11 @@ from casid.diagnosis.search.refusals import Refusal
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.cause import Cause
 from casid.estimation.covariance import sandwich
-from casid.estimation.errors_in_variables.error_bars import error_bars
+from casid.estimation.errors_in_variables.error_bars import error_bars, robust_bars
 from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.estimate import Estimate
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation_estimate import ErrorBars
+from casid.estimation.simulation_estimate import ASSUMES, BIASED, ErrorBars
 
 ROUNDED = (
     "; how sharply dry friction, or a constant voltage, reverses is included as far as it is not "
@@ -31,8 +31,8 @@ def bars_of(
     corrected: Corrected | None,
     roundings: Sequence[Mapping[str, float]] = (),
     shifts: Sequence[Mapping[str, float]] = (),
-) -> ErrorBars | None:
-    """Error bars as of `identify`, with the instants found; None for a whitened fit.
+) -> ErrorBars:
+    """Error bars as of `identify`, with the instants found; of a whitened fit the robust ones.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def bars_of(
     shifts : the same of the instants of changes.
     """
     if fit.criterion.whiten is not None:
-        return None
+        return robust_bars(fit, ASSUMES + BIASED)
     bars = error_bars(corrected or Corrected(fit, why_not="it was not looked at"))
     roundings, shifts = [r for r in roundings if r], [s for s in shifts if s]
     if not (roundings or shifts):
@@ -91,7 +91,7 @@ def without_made_up(found: Findings) -> Findings:
     fit, bare = found.extended_fit, found.base_fit
     held = {*bare.solution.at_lower, *bare.solution.at_upper} & {*bare.criterion.model.parameters}
     bars = extended_bars(found) if found.adopted and held else None
-    if fit is None or bars is None or bars.covariance is None:
+    if fit is None or fit.criterion.whiten is not None or bars is None or bars.covariance is None:
         return found
     errors = np.sqrt(np.maximum(np.diag(bars.covariance), 0.0))
     spread = zip(fit.criterion.names, errors, strict=True)
@@ -105,7 +105,7 @@ def without_made_up(found: Findings) -> Findings:
     return Findings(found.baseline, found.search, found.baseline.start, own)
 
 
-def extended_bars(found: Findings) -> ErrorBars | None:
+def extended_bars(found: Findings) -> ErrorBars:
     """The error bars of the extended model, with all that was found of its causes."""
     assert found.extended_fit is not None
     shifts = [shift for a in found.adopted for shift in a.shifts]

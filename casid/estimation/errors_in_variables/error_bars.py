@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from casid.arrays import Array
+from casid.estimation.covariance import robust_covariance
 from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.noise.residual_autoregressions import (
     Autoregression,
@@ -39,9 +40,32 @@ def error_bars(found: Corrected) -> ErrorBars:
     fit, assumes = found.fit, ASSUMES + BIASED if found.why_not else ASSUMES
     coloured = covariance_under_colour(fit, fit.solution.is_free)
     if coloured is None:
-        return ErrorBars(assumes)
+        return robust_bars(fit, assumes)
     in_words = COLOURED.format(orders=orders_text(coloured[1]))
     return ErrorBars(assumes.replace(ASSUMES, in_words), coloured[0])
+
+
+def robust_bars(fit: Fit, assumes: str) -> ErrorBars:
+    """The robust covariance of a minimum, with what the fit itself takes out of the residual.
+
+    That of a fit in segments or under constraints is without it, as `ErrorBars` has it by default.
+
+    Parameters
+    ----------
+    assumes : with a place `{lags}` for its lags.
+    """
+    criterion = fit.criterion
+    if criterion.segments > 1 or fit.solution.constraint_jacobian.size:
+        return ErrorBars(assumes)
+    residuals, jacobians = [], []
+    for e, d in enumerate(criterion.data):
+        r, j = criterion.columns(fit.x, e)
+        there = slice(None) if criterion.whiten is not None else d.used.any(axis=1)
+        residuals.append(r[there])
+        jacobians.append(j[there])
+    found = robust_covariance(residuals, jacobians, fit.solution.hessian, fit.solution.is_free)
+    covariance, lags = found
+    return ErrorBars(assumes.format(lags=lags), covariance)
 
 
 def covariance_under_colour(fit: Fit, free: Array) -> tuple[Array, list[Autoregression]] | None:
