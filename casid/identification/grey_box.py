@@ -253,18 +253,21 @@ def minimize_extended_prediction_error(
     wanted: Array | None = None
     while True:
         found = _minimised(
-            criterion_of, noise, start, solver, throw=throw, structural=structural, wanted=wanted
+            criterion_of, noise, start, solver, throw=False, structural=structural, wanted=wanted
         )
-        criterion = found.criterion
+        criterion, solution = found.criterion, found.solution
         assert isinstance(criterion, ExtendedPredictionError)
-        if steps is not None or criterion.substeps >= STEPS.most or seconds_left() <= 0.0:
-            return found
-        if not found.solution.is_converged or not _filter_steps_matter(criterion, found.solution.x):
-            return found
+        is_finest = steps is not None or criterion.substeps >= STEPS.most or seconds_left() <= 0.0
+        if is_finest or not _filter_steps_matter(criterion, solution):
+            break
         options["substeps"] *= 2
-        wanted = criterion.start if wanted is None else wanted
-        values = dict(zip(criterion.names, found.solution.x.tolist(), strict=True))
-        start = options["start"] = values
+        if solution.is_converged:  # a search that unstable steps led astray begins anew
+            wanted = criterion.start if wanted is None else wanted
+            start = dict(zip(criterion.names, solution.x.tolist(), strict=True))
+            options["start"] = start
+    if throw and not solution.is_converged:
+        raise not_converged(criterion.model.name, solution)
+    return found
 
 
 def _finer(c: ExtendedPredictionError) -> ExtendedPredictionError:
@@ -280,9 +283,15 @@ def _finer(c: ExtendedPredictionError) -> ExtendedPredictionError:
     )
 
 
-def _filter_steps_matter(c: ExtendedPredictionError, x: Array) -> bool:
-    """True if halving the step would move the minimum by a share of its standard errors."""
-    at = _finer(c).evaluate(x)
+def _filter_steps_matter(c: ExtendedPredictionError, found: Solution) -> bool:
+    """True if halving the step would move the minimum by a share of its standard errors.
+
+    Where the search ended short of a minimum, if it would change the likelihood there.
+    """
+    fine, x = _finer(c), found.x
+    if not found.is_converged:
+        return moves_likelihood(c.value(x), fine.value(x), c.n_samples)
+    at = fine.evaluate(x)
     if not np.isfinite(at.value):
         return False
     before = c.evaluate(x).gradient  # of variables at a bound, and what the solver left
