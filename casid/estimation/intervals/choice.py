@@ -63,6 +63,10 @@ _NOT_NORMAL = (
     "{intervals} normal, though {why}: the bias of the inputs' noise is removed at "
     "the estimate alone, and no profile can be taken; simulate (--intervals bootstrap)"
 )
+_NO_PROFILE = (
+    "the interval of {name} is normal, though {why}: the refits of its profile ended short of "
+    "their minima; take it as rough"
+)
 _SIMULATED = (
     "bias-corrected percentiles of {runs} estimates from records simulated with this estimate and "
     "noise like its residual"
@@ -262,7 +266,9 @@ def _profiles(
         interval = undone.attempt(f"the profile of {name}", profiled)
         if interval is None:
             continue
-        if _is_of_root(scaled, name, interval):
+        if not interval.is_found:
+            chosen.warnings.append(_NO_PROFILE.format(name=name, why=why))
+        elif _is_of_root(scaled, name, interval):
             normal[name] = why
         else:
             _keep(chosen, name, interval, fit)

@@ -23,12 +23,19 @@ class ProfileInterval:
 
     Attributes
     ----------
+    lower, upper : NaN where no refit beside the estimate found a value that the records do not
+        reject: the refits ended short of their minima.
     lower_minimum : where the criterion is lower than at the estimate, the value of the unknown.
     """
 
     lower: float
     upper: float
     lower_minimum: float | None = None
+
+    @property
+    def is_found(self) -> bool:
+        """False where an end is not a number."""
+        return not (np.isnan(self.lower) or np.isnan(self.upper))
 
 
 def profile_interval(scaled: ScaledCriterion, name: str) -> ProfileInterval:
@@ -65,7 +72,10 @@ class _Search:
         return float(np.sqrt(max(drop, 0.0)))
 
     def end(self, side: float) -> float:
-        """Where the root is that of the quantile, on one side; the bound where it comes first."""
+        """Where the root is that of the quantile, on one side; the bound where it comes first.
+
+        NaN where no refit has a smaller root than that.
+        """
         target = float(norm.ppf(0.5 + 0.5 * PROFILE_SEARCH.level))
         middle = float(self.scaled.x[self.i])
         limit = float((self.scaled.lower if side < 0 else self.scaled.upper)[self.i])
@@ -85,6 +95,8 @@ class _Search:
             else:
                 inner = (held, root)
             held = _next(middle, inner, outer, target)
+        if inner[0] == middle:
+            return np.nan
         return outer[0] if np.isfinite(outer[1]) else side * np.inf
 
 

@@ -128,6 +128,16 @@ def step_response(seed, *, length=0.6, samples=300, sd=0.12):
     return casid.Record({"u": np.ones(samples), "y": y}, {"u": "1", "y": "1"}, length / samples)
 
 
+def test_where_refits_end_short_of_their_minima_the_interval_is_normal_and_says_so(monkeypatch):
+    """Their drop rejects nothing: the interval had shrunk to the estimate."""
+    monkeypatch.setattr(ScaledCriterion, "refit", lambda scaled, i, held, start: (1e6, start))
+    found = identify(gain_and_offset(), linear_record(), intervals="profile")
+    for row in found.parameters:
+        low, high = row.interval
+        assert high - low == pytest.approx(2 * 1.96 * row.std_error, rel=1e-3)
+    assert sum("the refits of its profile ended short" in w for w in found.warnings) == 2
+
+
 @pytest.mark.slow
 def test_a_time_constant_longer_than_the_record_is_covered_as_stated():
     """Where the normal interval is not: over 50 draws, within what binomial draws allow.
