@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from casid.argument_types import methods_name_wrong_types
-from casid.arrays import FloatArray
+from casid.arrays import BoolArray, FloatArray
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.model.quantities import count_text
@@ -61,12 +61,12 @@ class Derived(PickledByFields):
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
 
     def compute(self, name: str, record: Record) -> FloatArray:
-        """(N,) samples of the channel.
+        """(N,) samples of the channel; those that a source misses are joined by straight lines.
 
         Raises
         ------
         DataError
-            If a source is absent or misses samples, or the result is not (N,) and finite.
+            If a source is absent or misses all samples, or the result is not (N,) and finite.
         """
         for source in self.sources:
             if source not in record:
@@ -75,15 +75,10 @@ class Derived(PickledByFields):
                     f"is no {source}; the record has {', '.join(record.names)}. Map a column to "
                     f"it, --map {source}=column, or map one to {name} itself"
                 )
-            mask = record.is_missing(source)
-            if mask.any():
-                raise DataError(
-                    f"{record.name}: {name} is derived from {source}, which misses "
-                    f"{count_text(int(mask.sum()), 'sample')}, the first at t = "
-                    f"{record.t[int(np.argmax(mask))]:g} s; cut the record there with a window, or "
-                    "fill the channel beforehand (record.filled)"
-                )
-        values = np.asarray(self.values(record), dtype=np.float64)
+        whole = {source: record.filled(source) for source in self.sources}
+        missing = {n: mask for n, mask in record.missing.items() if n not in whole}
+        filled = replace(record, channels={**record.channels, **whole}, missing=missing)
+        values = np.asarray(self.values(filled), dtype=np.float64)
         if values.shape != (record.N,) or not np.isfinite(values).all():
             raise DataError(
                 f"{record.name}: what derives {name} returned shape {values.shape} with "
@@ -91,6 +86,13 @@ class Derived(PickledByFields):
                 f"({record.N},) are needed; correct the function of casid.data.derived.Derived"
             )
         return values
+
+    def unfounded(self, record: Record) -> BoolArray:
+        """(N,) True within `margin` of a sample that a source misses."""
+        gone = np.any([record.is_missing(source) for source in self.sources], axis=0)
+        reach = _edge(self, record)
+        near = np.convolve(gone, np.ones(2 * reach + 1))[reach : reach + record.N] > 0.5
+        return np.asarray(near)
 
     def __repr__(self) -> str:
         return f"<Derived [{self.unit}] from {', '.join(self.sources)}>"
@@ -147,17 +149,19 @@ def derive(
     Returns
     -------
     Record
-        Shorter by the largest margin at either end; the clock is kept.
+        Shorter by the largest margin at either end; the clock is kept. A derived channel is missing
+        within its margin of a sample that a source misses.
 
     Raises
     ------
     DataError
-        As `Derived.compute`, or if the margins leave fewer than two samples.
+        As `Derived.compute`, or if the margins leave fewer than two samples of a channel.
     """
     wanted = {n: d for n, d in derived.items() if n not in record}
     if not wanted:
         return record
-    channels, units, steps = dict(record.channels), dict(record.units), []
+    channels, units, missing = dict(record.channels), dict(record.units), dict(record.missing)
+    steps = []
     for name, entry in wanted.items():
         channels[name] = entry.compute(name, record)
         units[name] = entry.unit
@@ -167,6 +171,19 @@ def derive(
             + (f": {entry.how}" if entry.how else "")
             + (f"; noise {sd:.3g} {entry.unit} (standard deviation)" if sd > 0 else "")
         )
+        gone = entry.unfounded(record)
+        if gone.any():
+            missing[name] = gone
+            steps.append(
+                f"{name}: {count_text(int(gone.sum()), 'sample')} missing, at gaps of "
+                f"{' or '.join(entry.sources)} and within {entry.margin:g} s of them"
+            )
+        if record.N - int(gone.sum()) < 2:
+            raise DataError(
+                f"{record.name}: {name} is derived from {', '.join(entry.sources)}, which miss so "
+                f"many samples that none of {name} is {entry.margin:g} s away from a gap; give a "
+                "part of the record without gaps (--window), or a shorter filter"
+            )
     edge = max(_edge(entry, record) for entry in wanted.values())
     if record.N - 2 * edge < 2:
         raise DataError(
@@ -183,7 +200,7 @@ def derive(
         channels={n: v[cut] for n, v in channels.items()},
         units=units,
         t0=record.t0 + edge * record.Ts,
-        missing={n: m[cut] for n, m in record.missing.items()},
+        missing={n: m[cut] for n, m in missing.items()},
         late={n: s[cut] for n, s in record.late.items()},
         provenance=(*record.provenance, *steps),
     )

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
     from casid.model.effects.user_effects import UserEffect
 
+Given = Sequence[Experiment | Record] | Experiment | Record
+"""What a problem's example and simulator return."""
+
 
 @methods_name_wrong_types(ModelError)
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +61,10 @@ class Problem(Presented):
     load_cases : name -> values of parameters known in that case.
     noise : channel -> standard deviation of its white noise, where known, in the channel's unit;
         that of a derived channel's sources is propagated and noted in the record's provenance.
-    example : returns the example experiments, or one record (their effect is for the diagnosis to
-        find).
-    simulate : takes a seed and returns experiments with noise drawn from it, for Monte Carlo
-        studies; the system is to be the same for every seed.
+    example : returns the example's experiments or records, or one (their effect is for the
+        diagnosis to find).
+    simulate : takes a seed and returns the same with noise drawn from it, for Monte Carlo studies;
+        the system is to be the same for every seed.
     truth : name -> value that `simulate` gives the parameter, where the model has it right; what it
         leaves out shows as bias.
     effects : effects of the user's own, or functions from a model to one or several, that the
@@ -84,8 +87,8 @@ class Problem(Presented):
     time: str | ColumnSpec | None = None
     load_cases: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
-    example: Callable[[], Sequence[Experiment] | Record] | None = None
-    simulate: Callable[[int], Sequence[Experiment | Record]] | None = None
+    example: Callable[[], Given] | None = None
+    simulate: Callable[[int], Given] | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
     starts: int = 3
     description: str = ""
@@ -407,15 +410,14 @@ class Problem(Presented):
         Raises
         ------
         DataError
-            If it has none.
+            If it has none, or they are none.
         """
         if self.example is None:
             raise DataError(
                 f"problem {self.name} has no example data of its own; name a record behind the "
                 f"problem: {self.source.name if self.source else f'{self.name}.py'} data.csv"
             )
-        given = self.example()
-        return [self.experiment(given)] if isinstance(given, Record) else list(given)
+        return self._experiments_of(self.example(), "example")
 
     def simulated(self, seed: int) -> list[Experiment]:
         """Experiments drawn anew with this seed.
@@ -431,14 +433,17 @@ class Problem(Presented):
                 "casid.Problem(..., simulate=f, truth={name: value}), where f takes a seed and "
                 "returns experiments"
             )
-        drawn = self.simulate(seed)
-        experiments = [self.experiment(e) if isinstance(e, Record) else e for e in drawn]
-        if not experiments:
+        return self._experiments_of(self.simulate(seed), "simulator")
+
+    def _experiments_of(self, given: Given, what: str) -> list[Experiment]:
+        """The experiments that a function of the problem returned, one or several."""
+        every = [given] if isinstance(given, Record | Experiment) else list(given)
+        if not every or not all(isinstance(e, Record | Experiment) for e in every):
             raise DataError(
-                f"the simulator of problem {self.name} returns no experiment; return a list of "
+                f"the {what} of problem {self.name} returns no experiment; return a list of "
                 "casid.Experiment or casid.Record"
             )
-        return experiments
+        return [self.experiment(e) if isinstance(e, Record) else e for e in every]
 
     def with_known(self, known: Mapping[str, float]) -> Problem:
         """A copy whose model knows the given values, in the units that it declares."""

@@ -70,10 +70,18 @@ def check_branch(
 def _undetermined(model: str, lacking: str, inputs: list[str], is_stated: bool) -> ModelError:
     """The error about a symbol that no equation is left for, although one may state it."""
     text = f"{model}: the equations do not determine {lacking}; "
-    if lacking in inputs or not (inputs and is_stated):
+    if lacking in inputs:
         return ModelError(
-            f"{text}an unknown input can only be eliminated with an output that responds to it, "
-            "and an inertia must not be zero"
+            f"{text}an unknown input can only be eliminated with an output that responds to it at "
+            "once, as an accelerometer does to a force. Where the motion alone is measured that "
+            f"{lacking} causes, make that motion an input of what it drives (model.input) and "
+            f"leave out the balance that {lacking} acts in, or let a disturbance stand for it "
+            f"in identify (--disturbance {lacking}:first)"
+        )
+    if not (inputs and is_stated):
+        return ModelError(
+            f"{text}an inertia must not be zero, and an unknown input is eliminated with an output "
+            "that responds to it"
         )
     gone = " and ".join(inputs)
     return ModelError(

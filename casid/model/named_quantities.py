@@ -255,7 +255,12 @@ class NamedQuantities:
     def _state_name(self, state: Any) -> str:
         name = symbol_name(f"{self.name}: state", state)
         if name not in self.states:
+            rate = (
+                "; the rate of an input is an input of its own, recorded or computed from it "
+                "(Problem(derived=...))"
+            )
             raise ModelError(
                 f"{self.name}: {name!r} is not a state; states are {', '.join(self.states)}"
+                + (rate if name in self.inputs else "")
             )
         return name

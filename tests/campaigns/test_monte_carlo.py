@@ -330,6 +330,11 @@ def test_problems_that_cannot_be_studied_are_refused(tank: Problem) -> None:
         montecarlo(tank.with_known({"a": 0.7, "b": 1.2}))
     with pytest.raises(DataError, match="returns no experiment"):
         replace(tank, simulate=lambda seed: []).simulated(1)
+    with pytest.raises(DataError, match="simulator of problem tank returns no experiment"):
+        replace(tank, simulate=lambda seed: ["run 1"]).simulated(1)  # type: ignore[list-item]
+    alone = tank.simulated(1)[0].record
+    (experiment,) = replace(tank, simulate=lambda seed: alone).simulated(1)
+    assert experiment.record is alone
     with pytest.raises(ModelError, match="truth of 'c' = 1"):
         replace(tank, truth={"c": 1.0})
     nothing = replace(tank, simulate=lambda seed: [Experiment(tank.simulated(1)[0].record)] * seed)

@@ -125,12 +125,22 @@ def test_the_noise_of_a_rotation_is_that_of_both_sources():
     assert found**2 == pytest.approx(expected, rel=4 * np.sqrt(2 * 3 / (8 * r.N)))
 
 
+def test_a_gap_of_a_source_is_one_of_the_derived_channel_as_far_as_its_filter_reaches():
+    whole, gap = record(), record().mark_missing("v", np.arange(400) == 107)
+    found, other = derive(gap, {"a": ENTRY}), derive(whole, {"a": ENTRY})
+    there = ~found.is_missing("a")
+    # Ten samples are cut at the beginning; half a second are ten samples.
+    assert np.flatnonzero(~there).tolist() == list(range(87, 108))
+    np.testing.assert_array_equal(found["a"][there], other["a"][there])
+    assert any("a: 21 samples missing, at gaps of v" in line for line in found.provenance)
+
+
 def test_sources_that_cannot_be_used_are_named_with_the_mend():
     with pytest.raises(DataError, match=r"no v; .*--map v=column"):
         derive(record().without("v"), {"a": ENTRY})
-    gap = record().mark_missing("v", np.arange(400) == 7)
-    with pytest.raises(DataError, match=r"misses 1 sample, the first at t = 0\.35 s; cut"):
-        derive(gap, {"a": ENTRY})
+    sparse = record().mark_missing("v", np.arange(400) % 15 != 0)
+    with pytest.raises(DataError, match=r"none of a is 0\.5 s away from a gap; give a part"):
+        derive(sparse, {"a": ENTRY})
     with pytest.raises(DataError, match="widen the window"):
         derive(record(21), {"a": ENTRY})
     short = Derived("m/s", {"v": "m/s"}, lambda r: r["v"][1:])

@@ -197,6 +197,23 @@ def test_only_an_unknown_input_is_eliminated():
         m.eliminate("F", using="q")
 
 
+def test_an_input_that_moves_what_is_measured_later_is_not_eliminated_and_says_what_to_do():
+    m = Model("belt drive")
+    angle, rate = m.state("angle", "rad"), m.state("rate", "rad/s")
+    torque = m.unknown_input("torque", "N m")
+    m.derivative(angle, rate)
+    m.balance(rate, "motor", inertia=m.parameter("J", "kg m^2"), terms=[torque])
+    m.output("motor", angle, "rad")
+    with pytest.raises(ModelError, match=r"as an accelerometer.*--disturbance torque:first"):
+        m.eliminate(torque, using="motor")
+
+
+def test_a_rate_of_an_input_is_an_input_of_its_own():
+    m = oscillator()
+    with pytest.raises(ModelError, match=r"'F' is not a state; .*recorded or computed from it"):
+        m.der("F")
+
+
 def test_an_unknown_input_left_in_a_model_is_refused_before_estimating():
     from casid.data.experiment import Experiment
     from casid.data.record import Record

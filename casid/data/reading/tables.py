@@ -108,6 +108,7 @@ class Table(ABC):
         folded = {c.casefold(): c for c in self.columns if c not in taken}
         name = column.casefold()
         near = [c for c in folded if re.fullmatch(rf"{re.escape(name)}\s*[\[(/].*", c)]
+        near = near or [c for c in folded if c == what.casefold()]
         near = near or difflib.get_close_matches(name, list(folded), n=1, cutoff=0.6)
         example = shell_option("--map", f"{what}={folded[near[0]] if near else 'COLUMN'}")
         raise DataError(

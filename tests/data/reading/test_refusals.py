@@ -76,6 +76,8 @@ def test_a_wrong_column_is_refused_with_the_nearest_and_all_there_are(csv):
     with pytest.raises(DataError, match="Did you mean 'phi_deg'.*holds t, phi_deg, force_N") as e:
         read_record(path, {"phi": "Phi_Deg"})
     assert "--map phi=phi_deg" in str(e.value)
+    with pytest.raises(DataError, match="Did you mean 'phi_deg'"):  # as casid itself writes it
+        read_record(path, {"phi_deg": "Roll"})
     with pytest.raises(DataError, match="no column 'clock' for t"):
         read_record(path, time="clock")
 

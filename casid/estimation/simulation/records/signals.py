@@ -167,7 +167,7 @@ def input_columns(model: Model, record: Record) -> Array:
             raise ModelError(
                 f"{model.name}: input {name} is unknown; eliminate it with an output "
                 f"that it acts on (model.eliminate({name!r}, using=...)) before estimating, or let "
-                f"a disturbance stand for it (--disturbance {name}:first)"
+                f"a disturbance stand for it in identify (--disturbance {name}:first)"
             )
     recorded = [name for name, entry in model.inputs.items() if entry.kind != "generated"]
     _require_channels(model, record, recorded)
