@@ -133,13 +133,27 @@ def _of_result(
     if not request.data:
         record = clock(fitted, duration)
         return fitted, fitted.simulate(record, start, known=known, on_clock=True)
-    experiment = request.experiments(inputs_alone(problem))[0][0]
+    try:
+        experiment = request.experiments(inputs_alone(problem))[0][0]
+    except DataError as error:
+        raise DataError(f"{error}{_computed_by_the_problem(fitted, str(error))}") from error
     given = driving_of(fitted.model, fitted.records, experiment, None, fitted.channels)
     silent = silent_causes(fitted.model, fitted.causes, fitted.records, given, "--on-clock")
     if silent and not on_clock:
         say(f"note: {silent}")
     acts = on_clock or not silent
     return fitted, fitted.simulate(given, start, known=known, on_clock=acts)
+
+
+def _computed_by_the_problem(fitted: FittedModel, refused: str) -> str:
+    """What to do about an input without a column, where the problem file computed it."""
+    for name, how in fitted.channels.derived.items():
+        if f"no column {name!r} for {name}." in refused:
+            return (
+                f" It was computed by the problem file ({how}), and a result holds no code: "
+                "simulate with the problem file, whose output has such a column, and give that."
+            )
+    return ""
 
 
 def _of_problem(

@@ -382,7 +382,10 @@ class _Writer:
         channels = self.fitted.channels
         inputs = set(self.whole.inputs)
         recorded = {n: u for n, u in channels.recorded.items() if n not in inputs}
-        lines = [f"# {name} was computed: {how}" for name, how in channels.derived.items()]
+        lines = [
+            f"# {name} was computed ({how}): copy its derived= from the problem that was fitted"
+            for name, how in channels.derived.items()
+        ]
         lines += [
             "problem = casid.Problem(",
             f"    name={_text(self.fitted.name)},",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,18 @@ def test_a_saved_model_is_driven_by_a_file_of_inputs(
     assert list(found) == ["t", "accel", "gyro", "phi", "p"]
     assert_allclose(found["gyro"], driven.y[:, 0], rtol=0, atol=1e-12)
     assert_allclose(found[["phi", "p"]], driven.x[:-1], rtol=0, atol=1e-12)
+
+
+def test_an_input_that_the_problem_computed_is_named_with_the_way_to_a_file_that_has_it(
+    driven: Simulated, files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    channels = replace(driven.fitted.channels, derived={"accel": "d/dt of the speed"})
+    saved = replace(driven.fitted, channels=channels).save(tmp_path / "derived.casid")
+    assert run(saved, files[1], "--out", tmp_path / "a.csv").exit_code == 0
+    pd.DataFrame({"t": driven.t, "speed": driven.inputs["accel"]}).to_csv(files[1], index=False)
+    result = run(saved, files[1], "--out", tmp_path / "b.csv")
+    assert result.exit_code == 2
+    assert "computed by the problem file (d/dt of the speed)" in result.output
 
 
 def test_parameters_and_initial_states_are_set(files: tuple[Path, Path], tmp_path: Path) -> None:
