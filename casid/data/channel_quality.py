@@ -142,7 +142,7 @@ def channel_quality(
         findings += _wrapped(record, name)
     drift, trend = _trend(record, name, shown)
     findings += trend
-    noise, bandwidth, reaches = _noise_and_band(record, name, own)
+    noise, bandwidth, reaches = _noise_and_band(record, name, own, spikes)
     if _is_held(x[own], step):
         noise = None
     if step is not None and step > (high - low) / 200:
@@ -257,7 +257,8 @@ def _spiked(record: Record, name: str, spikes: NDArray[np.intp]) -> Finding:
         name,
         f"{count_text(spikes.size, 'isolated spike')}, at t = {t} s"
         f"{' ...' if spikes.size > 3 else ''}.",
-        f"Mark them with record.mark_missing({name!r}, mask), or use a robust loss.",
+        "A diagnosis leaves them out. Before an estimate mark them with "
+        f"record.mark_missing({name!r}, mask), or give their cells with --missing.",
     )
 
 
@@ -426,9 +427,14 @@ def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
 
 
 def _noise_and_band(
-    record: Record, name: str, own: NDArray[np.intp]
+    record: Record, name: str, own: NDArray[np.intp], spikes: NDArray[np.intp]
 ) -> tuple[float | None, float | None, bool]:
-    """Noise and bandwidth as in `_spectrum`, from the samples `own` at their own instants."""
+    """Noise and bandwidth as in `_spectrum`, from the samples `own` at their own instants.
+
+    Isolated spikes count as missing: the spectrum of one is flat, as that of noise is.
+    """
+    if spikes.size:
+        record = record.mark_missing(name, np.isin(np.arange(record.N), spikes))
     mask = record.is_missing(name)
     kept = np.asarray(record.filled(name)[own], dtype=np.float64)
     shifted = kept - float(record[name][~mask].mean())

@@ -156,8 +156,7 @@ class Fleet(Presented):
             return "before the first record"
         if not self.is_dated:
             return f"{when:g}"
-        day = np.datetime64(round(when), "s")
-        return str(day.astype("datetime64[D]"))
+        return str(np.datetime64(round(when), "s").astype("datetime64[D]"))
 
     def to_json(self) -> dict[str, Any]:
         """The content of `fleet.json` (schema casid.fleet/1)."""
@@ -171,6 +170,7 @@ class Fleet(Presented):
             "not_done": self.not_done,
             "searched": self.searched,
             "refused": len(self.refusals),
+            "refusals": self.refusals,
             "undecided": len(self.undecided),
             "discoveries": {"benjamini_hochberg": self.discoveries, "e_bh": self.discoveries_e},
             "alarms": self.alarms["record"].tolist(),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -48,10 +49,21 @@ class FleetRecord:
     size: int
     modified: int
 
-    @property
-    def name(self) -> str:
-        """Name of the file."""
-        return place_of(self.path).name
+
+def distinct_names(paths: Sequence[str]) -> list[str]:
+    """The names of files, with as many folders before them as distinguish them from the others."""
+    parts = [place_of(path).parts for path in paths]
+    depths = [1] * len(paths)
+    while True:
+        names = ["/".join(p[-n:]) for p, n in zip(parts, depths, strict=True)]
+        count = Counter(names)
+        longer = [
+            i for i, name in enumerate(names) if count[name] > 1 and depths[i] < len(parts[i])
+        ]
+        if not longer:
+            return names
+        for i in longer:
+            depths[i] += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,5 +296,6 @@ class RecordList:
         """pandas.DataFrame, a row a record: record, asset, when, path."""
         import pandas as pd
 
-        rows = [(i, r.name, r.asset, r.when, r.path) for i, r in enumerate(self.records)]
+        names = distinct_names([r.path for r in self.records])
+        rows = [(i, names[i], r.asset, r.when, r.path) for i, r in enumerate(self.records)]
         return pd.DataFrame(rows, columns=["number", "record", "asset", "when", "path"])

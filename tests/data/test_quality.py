@@ -285,6 +285,17 @@ def test_isolated_spikes_are_counted_and_placed():
     assert "mark_missing('y', mask)" in finding.remedy
 
 
+def test_a_spike_is_no_noise():
+    """Its spectrum is flat, and one of 600 times the noise has the power of all noise."""
+    y = smooth(noise=0.01)
+    y[450] += 6.0
+    found = check(record(y)).channels[0]
+    assert found.spikes == 1
+    assert found.noise == pytest.approx(
+        check(record(smooth(noise=0.01))).channels[0].noise, rel=0.02
+    )
+
+
 def test_bends_of_a_slow_response_are_no_spikes():
     """A temperature that rises and falls as the heater is switched, noise far below its slope."""
     rng = np.random.default_rng(2)

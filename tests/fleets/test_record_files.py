@@ -11,7 +11,7 @@ import pytest
 import casid
 from casid.errors import DataError
 from casid.fleets.record_files import RecordFile, files_of, is_address, local, natural
-from casid.fleets.record_list import Labels, RecordList
+from casid.fleets.record_list import Labels, RecordList, distinct_names
 from tests.support.fleet_records import samples, write_problem, write_record
 
 LABELS = "{asset}_{time}.csv"
@@ -50,6 +50,18 @@ def test_an_address_has_a_protocol(text: str, wanted: bool) -> None:
 def test_numbers_in_names_sort_by_size(records: Path) -> None:
     assert [f.place.name for f in files_of(records)] == ["a_1.csv", "a_2.csv", "a_10.csv"]
     assert natural("run2") < natural("run10")
+
+
+def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    """Each asset has its folder by default, and its records the same dates for names."""
+    for place in ("A/1.csv", "B/1.csv", "B/2.csv"):
+        write_record(tmp_path / place, samples(3, n=30))
+    listed = RecordList(None)
+    listed.add(files_of(tmp_path), Labels())
+    assert sorted(listed.frame()["record"]) == ["2.csv", "A/1.csv", "B/1.csv"]
+    assert distinct_names(["x/A/1.csv", "y/A/1.csv", "B/1.csv"]) == [
+        "x/A/1.csv", "y/A/1.csv", "B/1.csv",
+    ]  # fmt: skip
 
 
 def test_a_pattern_inside_an_archive_names_its_files(records: Path) -> None:
@@ -104,7 +116,7 @@ def test_asset_and_time_may_be_columns_of_the_files(tmp_path: Path) -> None:
     write_record(tmp_path / "3.csv", samples(3, n=30))
     listed = RecordList(None)
     listed.add(files_of(tmp_path), Labels("ship", "started"))
-    found = [(r.asset, r.name, r.is_dated) for r in listed.records]
+    found = [(r.asset, Path(r.path).name, r.is_dated) for r in listed.records]
     dated = [("Ada", "2.csv", True), ("Bo", "1.csv", True), ("Ada", "0.csv", True)]
     assert found == [*dated, ("unknown", "3.csv", True)]
     assert listed.records[0].when == pd.Timestamp("2024-04-30 06:00").timestamp()
