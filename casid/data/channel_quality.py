@@ -135,9 +135,9 @@ def channel_quality(
     run, plateau, equal = _equal_samples(record, name, step, few, shown)
     findings += equal
     own = np.flatnonzero(~mask) if gone > record.N // 2 else np.arange(record.N)  # on its own clock
-    spikes = np.array([], dtype=np.intp) if few else own[_spikes(x[own], mask[own])]
+    spikes = np.array([], dtype=np.intp) if few else own[isolated_spikes(x[own], mask[own])]
     if spikes.size:
-        findings.append(_spiked(record, name, spikes))
+        findings.append(spiked(name, record.t[spikes]))
     if unit == "rad" and high - low < 6.6:
         findings += _wrapped(record, name)
     drift, trend = _trend(record, name, shown)
@@ -250,13 +250,14 @@ def _quantised(name: str, shown: str, kept: FloatArray, step: float, noise: floa
     return [Finding("note", name, f"moves by single {steps}, {many}", remedy)]
 
 
-def _spiked(record: Record, name: str, spikes: NDArray[np.intp]) -> Finding:
-    t = ", ".join(f"{record.t[k]:.6g}" for k in spikes[:3])
+def spiked(name: str, times: FloatArray) -> Finding:
+    """The finding about isolated spikes of a channel at times [s]."""
+    t = ", ".join(f"{when:.6g}" for when in times[:3])
     return Finding(
         "warning",
         name,
-        f"{count_text(spikes.size, 'isolated spike')}, at t = {t} s"
-        f"{' ...' if spikes.size > 3 else ''}.",
+        f"{count_text(times.size, 'isolated spike')}, at t = {t} s"
+        f"{' ...' if times.size > 3 else ''}.",
         "A diagnosis leaves them out. Before an estimate mark them with "
         f"record.mark_missing({name!r}, mask), or give their cells with --missing.",
     )
@@ -408,7 +409,8 @@ def _even_step(distances: FloatArray) -> float:
     return step
 
 
-def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
+def isolated_spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
+    """Samples of x (N,) far from their neighbours, each alone; none where `mask` is True."""
     if x.size < 8:
         return np.array([], dtype=np.intp)
     padded = np.pad(x, 2, mode="edge")

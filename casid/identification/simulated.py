@@ -28,6 +28,7 @@ from casid.identification.reference_instruments import instrumented
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.identification.signs_of_terms import WrongTerm
 from casid.identification.sized_noise import fitted_in_sizes, sized_noise_text
+from casid.identification.spike_notes import spike_notes
 from casid.identification.task import Task
 from casid.identification.unstable import InWindows, fit_in_segments
 from casid.time_limit import no_time_limit
@@ -62,6 +63,7 @@ def identify_simulated(task: Task, unstable: InWindows | None) -> Estimate:
     with no_time_limit():  # a few passes over the record, without which there is no result
         notes = problem_notes(task.problem, split.fitted)
         notes += channel_notes(task.problem.model, task.split.whole)
+        notes += spike_notes(found.fit)
         notes += [sized_noise_text(grows)] if grows else []
         estimate = _estimate(task, found, [*notes, *feedback])
     if estimate.is_converged:
