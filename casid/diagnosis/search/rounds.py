@@ -78,6 +78,7 @@ class Memory:
     tables : of a model and the causes that are in it -> the scores of all effects.
     refits : of a model without causes -> its shortlist as refitted, as large as the records each.
     references : recorded channels that are references of a control loop; None until sought.
+    held_out : of a model under a disturbance -> how what was held out contradicts it, or empty.
     """
 
     tested: tuple[Weighted, ResidualTests] | None = None
@@ -85,6 +86,7 @@ class Memory:
     tables: dict[tuple[Weighted, tuple[Candidate, ...]], ScoreTable] = field(default_factory=dict)
     refits: dict[Weighted, list[Candidate]] = field(default_factory=dict)
     references: tuple[str, ...] | None = None
+    held_out: dict[Weighted, str] = field(default_factory=dict)
 
 
 _OVERFLOWS = "its sensitivities overflow in the simulation of the model"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -211,11 +210,19 @@ def unlike_held_out(
     return ""
 
 
-@functools.lru_cache(maxsize=4)
-def unlike_under_disturbance(at: Weighted, split: Split) -> str:
+def unlike_under_disturbance(found: Findings, at: Weighted) -> str:
     """`unlike_held_out` for a model under a disturbance: the innovations are compared.
 
-    Cached for the last few models: the verdict, its reasons and its doubts each ask for it.
+    Kept in the memory of the search: the verdict, its reasons and its doubts each need it.
+    """
+    known = found.search.memory.held_out
+    if at not in known:
+        known[at] = _unlike_innovations(at, found.baseline.split)
+    return known[at]
+
+
+def _unlike_innovations(at: Weighted, split: Split) -> str:
+    """How the innovations of what was held out contradict a model under a disturbance, or empty.
 
     A narrow-band disturbance has few independent samples, so the RMS simulation error differs from
     part to part by chance; the errors that their past does not predict are nearly independent.

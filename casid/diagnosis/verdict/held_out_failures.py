@@ -24,7 +24,7 @@ def unlike_where_held_out(
 ) -> str:
     """Why what was held out contradicts a model that the fitted part does not."""
     if beside is not None and beside.unbiased is not None:
-        return unlike_under_disturbance(beside, found.baseline.split)
+        return unlike_under_disturbance(found, beside)
     added = by_estimates(found, found.base_fit, held, baseline)
     return unlike_held_out(found, fitted, held, added)
 

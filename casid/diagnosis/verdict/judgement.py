@@ -207,7 +207,7 @@ def _is_predicted(found: Findings, at: Weighted) -> bool:
     split = found.baseline.split
     if at.unbiased is None or split.judging(at.unbiased.criterion.model).is_empty:
         return False
-    far = partial(unlike_under_disturbance, at, split)
+    far = partial(unlike_under_disturbance, found, at)
     return found.search.attempts.attempt("the comparison with what was held out", far) == ""
 
 

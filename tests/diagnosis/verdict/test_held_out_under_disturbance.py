@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +12,7 @@ from scipy.signal import lfilter
 
 import casid
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
-from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.rounds import Memory, Search
 from casid.diagnosis.verdict import gain
 from casid.diagnosis.verdict.judgement import predicts_held_out
 from casid.estimation.holdout import split_records
@@ -68,3 +69,20 @@ def test_a_law_that_ends_with_the_fitted_part_is_no_disturbance(
     # Without causes there is a verdict of its own for it.
     found.adopted = ()
     assert predicts_held_out(found, None)
+
+
+class _Model:
+    """What stands for a model here: it may be referred to weakly."""
+
+
+def test_innovations_are_compared_once_a_model_and_no_longer_kept_than_its_search(monkeypatch):
+    compared = []
+    monkeypatch.setattr(gain, "_unlike_innovations", lambda at, split: compared.append(at) or "far")
+    at, search = _Model(), SimpleNamespace(memory=Memory())
+    found = SimpleNamespace(search=search, baseline=SimpleNamespace(split=()))
+    assert [gain.unlike_under_disturbance(found, at) for _ in range(3)] == ["far"] * 3
+    assert compared == [at]
+    kept = weakref.ref(at)
+    del at, found, search
+    compared.clear()
+    assert kept() is None
