@@ -10,10 +10,11 @@ from casid.data.problem import Problem
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
+from casid.diagnosis.search.adoption.baseline_refinement import baseline_refinement
 from casid.diagnosis.search.adoption.feigned_causes import without_feigned
 from casid.diagnosis.search.adoption.promotion import with_likelier_rivals
 from casid.diagnosis.search.adoption.reconsideration import reconsidered
-from casid.diagnosis.search.adoption.refinement import Adoption, Refinement
+from casid.diagnosis.search.adoption.refinement import Adoption
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.comparison.simulation_errors import Soundness
 from casid.diagnosis.search.comparison.sizes_by_record import SizesByRecord, with_sizes_by_record
@@ -205,9 +206,10 @@ class _LastSteps:
             return found, None
         if corrected is None or not corrected.is_removed or found.fit is None:
             return found, corrected
+        refine = baseline_refinement(self.search, self.baseline, self.settings, fit)
         left = self.search.attempts.attempt(
             "the test whether noise on inputs feigns a cause",
-            lambda: without_feigned(self._refinement(fit), found, corrected, correct),
+            lambda: without_feigned(refine, found, corrected, correct),
         )
         return left or (found, corrected)
 
@@ -217,11 +219,6 @@ class _LastSteps:
             "the removal of the bias of noise on inputs",
             lambda: without_input_noise(fit, problem.noise, seed=self.settings.fit.seed),
         )
-
-    def _refinement(self, fit: Fit) -> Refinement:
-        """Steps that refine causes, with errors in the units of a fit."""
-        of, units = self.baseline, fit.criterion.weights
-        return Refinement(self.search, of.split, self.settings.refit, units, of.start, of.fit)
 
 
 def _found(

@@ -37,7 +37,8 @@ from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.whitening.holding_bounds import held_beyond_chance
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
-from casid.diagnosis.search.adoption.refinement import Adoption, Refinement
+from casid.diagnosis.search.adoption.baseline_refinement import baseline_refinement
+from casid.diagnosis.search.adoption.refinement import Adoption
 from casid.diagnosis.search.candidates import Adopted, Candidate, null_values
 from casid.diagnosis.search.comparison.alternatives import is_imitator
 from casid.diagnosis.search.comparison.simulation_errors import (
@@ -305,8 +306,7 @@ def without_replaceable(
     if len(found.adopted) < 2 or not doubted:
         return found
     base, split = baseline.fit, baseline.split
-    units = base.criterion.weights
-    refine = Refinement(search, split, settings.refit, units, baseline.start, base)
+    refine = baseline_refinement(search, baseline, settings)
     is_sound = Soundness(base, split)
 
     def why(cause: Adopted, fit: Fit, without: Fit) -> Refusal:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
+from casid.diagnosis.search.adoption.baseline_refinement import baseline_refinement
 from casid.diagnosis.search.adoption.powers_of_signals import with_better_powers
 from casid.diagnosis.search.adoption.refinement import (
     Adoption,
-    Refinement,
     weighed_whole,
     whole_fit,
 )
@@ -71,7 +71,7 @@ def seen_beside_disturbance(
     if not is_alone and is_scheduled_by_state(best.effect):
         # The law was chosen beside the disturbance, which is what the right one leaves none of.
         at = weighed_whole(search.weighing, fit, settings.refit)[1]
-        refine = Refinement(search, baseline.split, settings.refit, units, baseline.start, base)
+        refine = baseline_refinement(search, baseline, settings)
         by_own = Adoption((Adopted(best, 1.0, ()),), at, fit)
         other = search.attempts.attempt(POWERS, lambda: with_better_powers(refine, by_own))
         is_alone = other is not None and not other.at.noise_absorbs_misfit
