@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -115,17 +115,7 @@ class Record(RecordMethods, Presented, PickledByFields):
         set_field(self, "t0", float(self.t0))
         set_field(self, "provenance", tuple(self.provenance))
         if not self.clock:
-            object.__delattr__(self, "clock")  # `__getattr__` fills it when it is first read
-
-    if not TYPE_CHECKING:  # as an attribute that any name may be, for a type checker
-
-        def __getattr__(self, name: str) -> str:
-            """The clock of samples that come from nowhere, which takes a digest of them all."""
-            if name != "clock":
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            clock = _clock_of(self)
-            object.__setattr__(self, name, clock)
-            return clock
+            set_field(self, "clock", _clock_of(self))
 
     # ------------------------------------------------------------------ reading it
 
@@ -369,10 +359,10 @@ def with_samples(record: Record, channel: str, values: Array) -> Record:
 
 
 def _clock_of(record: Record) -> str:
-    """A name of the clock of samples that come from nowhere: nothing but they has it."""
-    text = hashlib.sha256(repr((record.Ts, record.t0, record.names)).encode())
+    """A name of the clock of samples that come from no file, a digest of them all."""
+    text = hashlib.blake2b(repr((record.Ts, record.t0, record.names)).encode(), digest_size=16)
     for values in record.channels.values():
-        text.update(np.ascontiguousarray(values).tobytes())
+        text.update(np.ascontiguousarray(values).data)
     return text.hexdigest()
 
 
