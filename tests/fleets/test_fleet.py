@@ -183,6 +183,17 @@ def test_records_that_cannot_be_done_are_rows_and_no_end(
 
 
 @pytest.mark.slow
+def test_a_term_of_the_wrong_sign_is_the_reason_of_a_refused_record(tmp_path: Path) -> None:
+    path = write_problem(tmp_path)
+    path.write_text(path.read_text().replace("terms=[-y, K * u]", "terms=[y, K * u]"))
+    write_record(tmp_path / "records" / "a_1.csv", samples(1))
+    found = run(tmp_path, tmp_path / "out")
+    assert list(found.records["stage"]) == ["refused"]
+    assert "the term y in the heat balance probably has the wrong sign" in found.refusals["a_1.csv"]
+    assert found.to_json()["refusals"] == found.refusals
+
+
+@pytest.mark.slow
 def test_a_full_disk_is_told_and_nothing_is_lost(
     done: casid.Fleet, heaters: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
