@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 
 import pytest
 
@@ -13,6 +12,7 @@ from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.thresholds import BUDGET
 from casid.time_limit import wall_clock
 from problems import roll_decay
+from tests.support.moved_clock import MovedClock
 
 
 @pytest.fixture
@@ -21,22 +21,9 @@ def record():
     return roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
 
 
-class Clock:
-    """A clock that the test moves."""
-
-    def __init__(self) -> None:
-        self.ahead = 0.0
-
-    def monotonic(self) -> float:
-        return time.monotonic() + self.ahead
-
-    def process_time(self) -> float:
-        return time.process_time()
-
-
 def late_at(line, seconds, record, monkeypatch, **settings):
     """The diagnosis of a record whose clock leaps, once, at the line of progress given."""
-    clock = Clock()
+    clock = MovedClock()
     monkeypatch.setattr(time_limit, "time", clock)
 
     def progress(text: str) -> None:
@@ -78,7 +65,7 @@ def test_a_search_that_is_cut_off_names_nothing_and_lists_what_was_not_done(reco
 
 def test_refits_leave_time_to_adopt_the_best_of_them(monkeypatch):
     """Each attempt takes 1 s of a clock; 0.6 of 100 s are the refits', the rest is kept."""
-    clock = Clock()
+    clock = MovedClock()
     monkeypatch.setattr(time_limit, "time", clock)
     attempts = Attempts(ends=wall_clock() + 100 / time_limit.time_factor())
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import casid
 from casid.diagnosis.diagnosis import Alternative, Cause
@@ -22,10 +21,9 @@ from casid.model.effects.channels.channel_effects import (
     time_delay,
 )
 from casid.model.effects.names import effect_words
+from tests.support.driven_oscillator import TS, moved_late
 
-TS = 0.02
 N = 1500
-M, D, K = 2.0, 1.5, 50.0
 OUTPUTS = ("position", "speed")
 
 
@@ -53,23 +51,8 @@ def record(kind: str, delay: float, seed: int = 1) -> casid.Record:
     given = 10 * np.repeat(rng.uniform(-1, 1, N // 15 + 20), 15)[: N + 200]
     if kind == "foh":
         given = np.convolve(given, np.hanning(9) / np.hanning(9).sum(), "same")
-    A = np.zeros((4, 4))  # x, v, the force and its slope
-    A[:2, :3] = [[0.0, 1.0, 0.0], [-K / M, -D / M, 1 / M]]
-    A[2, 3] = 1.0
     whole = int(np.floor(delay / TS))
-    s = delay / TS - whole
-    first, second = expm(A * s * TS), expm(A * (1 - s) * TS)
-    state, y = np.zeros(2), np.empty((N, 2))
-    for k in range(N):
-        y[k] = state
-        before, now, after = given[np.clip(k - whole + np.arange(-1, 2), 0, None)]
-        if kind == "zoh":
-            state = (first @ [*state, before, 0.0])[:2]
-            state = (second @ [*state, now, 0.0])[:2]
-        else:
-            rise = now - before
-            state = (first @ [*state, before + (1 - s) * rise, rise / TS])[:2]
-            state = (second @ [*state, now, (after - now) / TS])[:2]
+    y = moved_late(given[np.clip(np.arange(-1, N + 1) - whole, 0, None)], delay / TS - whole, kind)
     y += 0.01 * y.std(axis=0) * rng.standard_normal((N, 2))
     columns = {"force": given[:N], "position": y[:, 0], "speed": y[:, 1]}
     return casid.Record(columns, {"force": "N", "position": "m", "speed": "m/s"}, Ts=TS)

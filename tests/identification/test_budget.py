@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from casid.estimation.simulation import simulation_error
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.thresholds import FIT_BUDGET
 from problems import roll_decay
+from tests.support.moved_clock import MovedClock
 
 
 @pytest.fixture(scope="module")
@@ -24,19 +24,9 @@ def record():
     return roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
 
 
-class Clock:
-    """A clock that the test moves."""
-
-    def __init__(self) -> None:
-        self.ahead = 0.0
-
-    def monotonic(self) -> float:
-        return time.monotonic() + self.ahead
-
-
 @pytest.fixture
 def clock(monkeypatch):
-    made = Clock()
+    made = MovedClock()
     monkeypatch.setattr(time_limit, "time", made)
     return made
 

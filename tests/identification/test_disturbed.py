@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import replace
 from functools import cache
 
@@ -24,6 +23,7 @@ from casid.export.problem_file import problem_text
 from casid.identification.disturbed import fed_back
 from casid.identification.identify import identify
 from casid.linear.filtering.noisy_model import White
+from tests.support.moved_clock import MovedClock
 
 K, D, SIZE, PEAK, WIDTH, SENSOR = 4.0, 0.4, 0.5, 1.2, 0.1, 0.01
 TRUTH = {
@@ -435,16 +435,7 @@ def test_what_means_nothing_is_refused(given, more, what):
 
 
 def test_a_search_that_the_budget_cuts_off_claims_nothing(monkeypatch):
-    class Clock:
-        ahead = 0.0
-
-        def monotonic(self) -> float:
-            return time.monotonic() + self.ahead
-
-        def process_time(self) -> float:
-            return time.process_time()
-
-    clock = Clock()
+    clock = MovedClock()
     monkeypatch.setattr(time_limit, "time", clock)
 
     def progress(line: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import expm
 
 import casid
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -40,3 +41,29 @@ def at(criterion, **values: float) -> np.ndarray:
 def positions(model, force=COMMAND, **values: float) -> np.ndarray:
     criterion = criterion_of(model, force)
     return criterion.simulate(at(criterion, **values), 0)[0][:, 0]
+
+
+def moved_late(given: np.ndarray, share: float, kind: str) -> np.ndarray:
+    """Position and speed (N, 2), exact, from rest: matrix exponentials between the input's corners.
+
+    Parameters
+    ----------
+    given : (N + 2,) force that acts before, at and after each sample; its corners come so late.
+    share : of a sample time, by which they are late.
+    """
+    A = np.zeros((4, 4))  # x, v, the force and its slope
+    A[:2, :3] = [[0.0, 1.0, 0.0], [-K / M, -D / M, 1 / M]]
+    A[2, 3] = 1.0
+    first, second = expm(A * share * TS), expm(A * (1 - share) * TS)
+    state, out = np.zeros(2), np.empty((len(given) - 2, 2))
+    for k in range(len(out)):
+        out[k] = state
+        before, now, after = given[k : k + 3]
+        if kind == "zoh":
+            state = (first @ [*state, before, 0.0])[:2]
+            state = (second @ [*state, now, 0.0])[:2]
+        else:
+            rise = now - before
+            state = (first @ [*state, before + (1 - share) * rise, rise / TS])[:2]
+            state = (second @ [*state, now, (after - now) / TS])[:2]
+    return out

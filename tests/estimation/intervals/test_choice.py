@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 
 import numpy as np
 import pytest
@@ -25,6 +24,7 @@ from tests.estimation.intervals.test_profile import (
     step_response,
     swing,
 )
+from tests.support.moved_clock import MovedClock
 
 
 def test_a_parabola_keeps_its_normal_intervals():
@@ -92,13 +92,7 @@ def test_quick_keeps_normal_intervals_and_says_that_they_were_not_tested():
 
 
 def test_what_there_is_no_time_for_is_normal_and_said(monkeypatch):
-    class Clock:
-        ahead = 0.0
-
-        def monotonic(self) -> float:
-            return time.monotonic() + self.ahead
-
-    clock, profile_interval = Clock(), choice.profile_interval
+    clock, profile_interval = MovedClock(), choice.profile_interval
 
     def then_over(*given):
         found = profile_interval(*given)

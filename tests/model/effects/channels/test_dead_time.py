@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import casid
 from casid.estimation.simulation.channels.sample_lines import delayed_lines, lines_of
@@ -18,7 +17,7 @@ from casid.model.effects.channels.actuator_effects import actuator_lag
 from casid.model.effects.channels.channel_effects import dead_time, hold, sensor_lag, time_delay
 from casid.model.effects.effect import Sizes
 from problems import pendulum
-from tests.support.driven_oscillator import TS, D, K, M, at
+from tests.support.driven_oscillator import TS, D, K, M, at, moved_late
 
 N = 600
 STEPS = np.repeat(np.random.default_rng(4).standard_normal(N // 12), 12)
@@ -57,26 +56,9 @@ def acting_late(force: np.ndarray, delay: float, kind: str) -> np.ndarray:
 
     At rest before the record, without force.
     """
-    A = np.zeros((4, 4))  # x, v, the force and its slope
-    A[:2, :3] = [[0.0, 1.0, 0.0], [-K / M, -D / M, 1 / M]]
-    A[2, 3] = 1.0
     whole = int(np.floor(delay / TS))
-    s = delay / TS - whole
-    first, second = expm(A * s * TS), expm(A * (1 - s) * TS)
-    padded = np.concatenate([np.zeros(whole + 1), force])
-    state, out = np.zeros(2), np.empty((len(force), 2))
-    for k in range(len(force)):
-        out[k] = state
-        before, now = padded[k], padded[k + 1]
-        after = padded[k + 2] if k + 2 < len(padded) else now
-        if kind == "zoh":
-            state = (first @ [*state, before, 0.0])[:2]
-            state = (second @ [*state, now, 0.0])[:2]
-        else:
-            rise = now - before
-            state = (first @ [*state, before + (1 - s) * rise, rise / TS])[:2]
-            state = (second @ [*state, now, (after - now) / TS])[:2]
-    return out
+    padded = np.concatenate([np.zeros(whole + 1), force, force[-1:]])
+    return moved_late(padded[: len(force) + 2], delay / TS - whole, kind)
 
 
 @pytest.mark.parametrize("kind", ["zoh", "foh"])
