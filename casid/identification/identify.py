@@ -14,7 +14,7 @@ from casid.errors import DataError
 from casid.estimation.estimate import Estimate, Estimated, Uncertainty
 from casid.estimation.holdout import split_records
 from casid.estimation.intervals.choice import require_intervals
-from casid.estimation.prediction_error.disturbances import Disturbance
+from casid.estimation.prediction_error.disturbances import Disturbance, with_known_noise
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.records.input_gaps import with_gaps_treated
@@ -161,10 +161,12 @@ def _structure(task: Task, disturbances: Sequence[Disturbance]) -> str:
     problem, settings = task.problem, task.settings
     if settings.constraints:
         return "not checked, as there are constraints"
-    if any(d.place in problem.model.inputs for d in disturbances):
-        return "not checked, as there are inputs that nobody measures"
-    return require_identifiable(
-        problem.model, task.split.fitted, own=settings.own, problem=problem, progress=task.say
+    model, condition = problem.model, ""
+    if any(d.place in model.inputs for d in disturbances):
+        model = with_known_noise(model, disturbances)
+        condition = "if the noise were known that drives what nobody measures: "
+    return condition + require_identifiable(
+        model, task.split.fitted, own=settings.own, problem=problem, progress=task.say
     )
 
 

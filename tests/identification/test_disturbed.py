@@ -150,11 +150,29 @@ def test_an_input_that_nobody_measures_may_be_the_disturbance():
     m.add_term("force", m.unknown_input("W", "N"))
     problem = casid.Problem("mass", m, noise={"F": 0.0}, starts=1)
     found = identify(problem, record(0), disturbances="W:peak", intervals="quick")
+    assert found.identifiability.structural.startswith("if the noise were known that drives")
     for name in TRUTH:
         same = estimate(0).parameter(name)
         assert found[name.replace("in force", "in W")] == pytest.approx(same.value, rel=1e-4)
     with pytest.raises(casid.ModelError, match="input W is unknown; let a disturbance stand for"):
         identify(problem, record(0), disturbances="force:peak")
+
+
+@pytest.mark.parametrize("spectrum", ["white", "first", "peak"])
+def test_what_no_input_of_known_size_drives_is_refused_before_anything_is_fitted(spectrum):
+    """A body that an unmeasured force alone moves: mass, spring and force have a common factor."""
+    m = casid.Model("body in the wind")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    M, k = (m.parameter(n, unit, start=1.0, lower=0.01) for n, unit in (("M", "kg"), ("k", "N/m")))
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=M, terms=[-k * x, m.unknown_input("W", "N")])
+    m.output("x", x, "m")
+    lines = []
+    with pytest.raises(
+        casid.IdentifiabilityError, match=r"M, k and size of disturbance in W are not separately"
+    ):
+        identify(m, record(0), disturbances=f"W:{spectrum}", progress=lines.append)
+    assert not [line for line in lines if line.startswith("fit")]
 
 
 def test_a_file_needs_no_column_of_an_input_that_nobody_measures(tmp_path):

@@ -16,7 +16,7 @@ width zeta are parameters of the model like any other.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -127,6 +127,21 @@ def with_disturbances(
             del new.inputs[place]
         sources.append(White(d.source, 1.0, is_known=True))
     return new, sources
+
+
+def with_known_noise(model: Model, disturbances: Sequence[Disturbance]) -> Model:
+    """The model with its disturbances, from zero, as if the noise that drives them were recorded.
+
+    No statistics of the noise can determine more: what is not identifiable in this model is not
+    identifiable.
+    """
+    new, sources = with_disturbances(model, disturbances)
+    for source in sources:
+        new.inputs[source.where] = replace(new.inputs[source.where], kind="known")
+    for d in disturbances:
+        for name in {d.force, d.quadrature} & set(new.states):
+            new.states[name] = replace(new.states[name], initial=0.0)
+    return new
 
 
 def undisturbed(model: Model, disturbances: Sequence[Disturbance]) -> Model:
