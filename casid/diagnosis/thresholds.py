@@ -1089,9 +1089,9 @@ class Description:
     rare: float = _is(0.4, "of the record beyond which such stretches are not named", _DESCRIPTION)
     stretches: int = _is(4, "stretches that are listed", _DESCRIPTION)
     band_p: float = _is(0.01, "p below which the loudest band is named", _DESCRIPTION)
-    told: float = _is(
+    reported: float = _is(
         100.0,
-        "times the noise floor: a limit of the held-out error from which its number is not told",
+        "times the noise floor: a limit of the held-out error from which its number is left out",
         f"{TESTS}/verdict/test_remainder.py",
     )
     names: int = _is(

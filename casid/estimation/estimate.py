@@ -214,8 +214,8 @@ class Agreement:
         return {k: t.counts for k, t in self.whiteness_tests.items() if t.meaning == "incomplete"}
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """Outputs with too few samples to tell whether their residual is white."""
+    def untested(self) -> tuple[str, ...]:
+        """Outputs with too few samples for the test whether their residual is white."""
         return tuple(k for k, t in self.whiteness_tests.items() if t.meaning == "too few")
 
     @property

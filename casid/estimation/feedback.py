@@ -14,8 +14,8 @@ from casid.arrays import Array, rows_between
 from casid.model.model import Model
 
 
-def not_felt_yet(model: Model, output: str) -> list[str]:
-    """Inputs that reach an output through states alone: a sample feels the values before it."""
+def inputs_without_feedthrough(model: Model, output: str) -> list[str]:
+    """Inputs without direct feedthrough to an output: they reach it through states alone."""
     e = model.explicit()
     h = e.h[e.outputs.index(output)]
     inputs = [name for name, entry in model.inputs.items() if entry.kind != "generated"]

@@ -48,7 +48,8 @@ def identify_disturbed(task: Task, disturbances: Sequence[Disturbance]) -> Estim
     Raises
     ------
     ModelError
-        For a place where nothing can act, or a white disturbance that an output feels at once.
+        For a place where nothing can act, or a white disturbance to which an output responds at
+        once.
     IdentifiabilityError
         For parameters or disturbances that these records do not determine.
     SolveError
@@ -160,7 +161,7 @@ def _finished(
 
 
 def fed_back(model: Model, disturbances: Sequence[Disturbance]) -> list[str]:
-    """A warning for every sensor that feels a disturbance at once and is an input.
+    """A warning for every sensor that responds to a disturbance at once and is an input.
 
     What it shows of the disturbance of a sample comes back through the input at that sample, which
     a prediction of the output, given the input, does not know.

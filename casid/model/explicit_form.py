@@ -105,7 +105,7 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
     rows = list(range(n))
     for j in range(n):
         # An eliminated input is solved from its own output where that names it outright, and from
-        # its balance where the output feels it through a derivative alone.
+        # its balance where the output responds to it through a derivative alone.
         sizes = {i: size(a[i][j]) for i in rows}
         own = [i for i in rows if i < n_first and sizes[i] > 0.0] if j < n_first else []
         best = max(own or rows, key=sizes.__getitem__)

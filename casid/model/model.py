@@ -5,8 +5,8 @@ derivatives and in every eliminated input, so one symbolic linear solve gives
 
     dx/dt = f(x, u, theta),    y = h(x, u, theta)                                           (1)
 
-and eliminating an unknown input is adding one equation (the output that feels it) and one unknown:
-the indirect model of Linder (2017, ch. 4), for gains that may depend on the state.
+and eliminating an unknown input is adding one equation (the output that responds to it) and one
+unknown: the indirect model of Linder (2017, ch. 4), for gains that may depend on the state.
 
 Numbers are given in the unit beside them and kept in SI; `Model.declared_units` remembers each unit
 that was declared and is not SI. Expressions are between SI quantities: an angle declared in deg is
@@ -161,7 +161,7 @@ class Model(NamedQuantities, Viewed):
         Raises
         ------
         ModelError
-            If the output does not feel the input, or the branch is missing or wrong.
+            If the output does not respond to the input, or the branch is missing or wrong.
 
         Source: Linder (2017), sections 4.2 and 7.3, (7.24) for the pendulum.
         """

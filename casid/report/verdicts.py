@@ -139,9 +139,9 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
             "for the rest.",
             "Compare the error with the noise of the sensors, as casid diagnose does.",
         )
-    if e.fit.untold:
+    if e.fit.untested:
         yield (
-            f"{', '.join(e.fit.untold)}: too few samples to test whether the residual is white. "
+            f"{', '.join(e.fit.untested)}: too few samples to test whether the residual is white. "
             "The error bars hold only if the model is right.",
             "Record more samples, or compare the estimates of several records.",
         )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.estimation.feedback import not_felt_yet, one_sample_late, slope
+from casid.estimation.feedback import inputs_without_feedthrough, one_sample_late, slope
 from casid.estimation.noise.input_feedback import follows
 
 TS = 0.01
@@ -45,8 +45,8 @@ def test_a_slope_of_what_came_before_is_exact_for_parabolas_and_knows_nothing_th
 
 
 def test_an_output_feels_an_input_late_that_acts_through_states_alone():
-    assert not_felt_yet(drive(), "speed") == ["u"]
-    assert not_felt_yet(drive(), "acceleration") == []
+    assert inputs_without_feedthrough(drive(), "speed") == ["u"]
+    assert inputs_without_feedthrough(drive(), "acceleration") == []
     assert one_sample_late(np.array([1.0, 2.0, 3.0])).tolist() == [1.0, 1.0, 2.0]
 
 

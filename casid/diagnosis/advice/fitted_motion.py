@@ -134,7 +134,7 @@ class FittedMotion:
         return bool(np.any((np.abs(poles.imag) > np.abs(poles.real)) & (f > low) & (f < high)))
 
     def is_felt(self, state: str) -> bool:
-        """True if a rate depends on a state: what no rate feels stays where it is released."""
+        """True if a rate depends on a state: what no rate depends on stays where it is released."""
         explicit = self.at.model.explicit()
         return any(ca.which_depends(explicit.f, self.at.model.symbol(state)))
 

@@ -371,7 +371,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
 
     Neighbours without a name come beside them, four of each order, and what happens at an instant,
     which every parameter may: they crowd out nobody. Where the model errs by far more than the
-    noise its scores tell little, and twice as many are refitted.
+    noise its scores predict little of what refits gain, and twice as many are refitted.
     """
     is_far = error_over_noise(at.fit, at.noise) > RESTARTS.far
     most = SHORTLIST.kinds * (2 if is_far else 1)

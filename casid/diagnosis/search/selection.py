@@ -222,7 +222,7 @@ class Selection:
         if not search.leads(found, table):
             return []
         # The first alarm has the rate that the user set, and is named unless the errors speak
-        # against it; a further cause has to earn its place there.
+        # against it; a further cause has to lower them.
         is_alarm = is_scored and not (self.adopted or at.noise_absorbs_misfit)
         by_remainder = at.noise_absorbs_misfit
         p_values = {c.effect.key: p_value(table, c, by_remainder=by_remainder) for c in found}
@@ -302,7 +302,7 @@ class Selection:
         if leaves_noise and not is_noise_alone(at, self.search):
             return LEAVES_MORE
         if is_disturbed:
-            # Under the disturbance, unless the simulation by itself then goes astray.
+            # Under the disturbance, unless the simulation alone then errs far more.
             if why_much_worse(self.fit, at.fit, self.split):
                 if why := self._why_not_simulated(fit):
                     return why

@@ -33,9 +33,9 @@ def with_refusal_reasons(causes: Sequence[Cause], refused: Refused) -> list[Caus
 
 def refusal_notes(refused: Refused, causes: Sequence[Cause] = ()) -> list[str]:
     """A note on each refused effect that is no cause and no alternative, with the last reason."""
-    told = {_identity(c) for c in causes}
-    told |= {_identity(a) for c in causes for a in c.alternatives}
-    reasons = {name_of(c.effect): why for c, why in refused if not told & _identities(c.effect)}
+    named = {_identity(c) for c in causes}
+    named |= {_identity(a) for c in causes for a in c.alternatives}
+    reasons = {name_of(c.effect): why for c, why in refused if not named & _identities(c.effect)}
     return [f"{words} {NOT_ACCEPTED}: {why.text}" for words, why in reasons.items()]
 
 

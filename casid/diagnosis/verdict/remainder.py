@@ -326,8 +326,8 @@ def _by_chance(above: Sequence[str], over: Mapping[str, float], chance: Mapping[
         )
     size = (
         f"of up to {limit:.2g}"
-        if limit < DESCRIPTION.told
-        else f"of more than {DESCRIPTION.told:g}"
+        if limit < DESCRIPTION.reported
+        else f"of more than {DESCRIPTION.reported:g}"
     )
     return (
         " The held-out part tells little: it has few independent samples, or lies far from what "

@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from casid.arrays import TINY, Array
 from casid.estimation.covariance import whiteness
-from casid.estimation.feedback import not_felt_yet
+from casid.estimation.feedback import inputs_without_feedthrough
 from casid.estimation.noise.residual_autoregressions import autoregression
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.thresholds import INPUT_ANSWERS
@@ -19,8 +19,8 @@ def feedback_notes(fit: Fit, noisy: Collection[str] = ()) -> list[str]:
     """Warnings of inputs that follow a residual that is not white.
 
     Least squares of the simulation error take the input as given. A disturbance that comes back
-    through it, by a controller or because a sensor that is used as input feels it, is no noise
-    beside the input: what it does is ascribed to the model (Ljung 1999, sections 13.4 and 16.6).
+    through it, by a controller or because a sensor that is used as input responds to it, is no
+    noise beside the input: its effect is ascribed to the model (Ljung 1999, sections 13.4, 16.6).
 
     Parameters
     ----------
@@ -35,7 +35,9 @@ def feedback_notes(fit: Fit, noisy: Collection[str] = ()) -> list[str]:
     ]
     out = []
     for i, output in enumerate(criterion.outputs):
-        late = {n for n in not_felt_yet(model, output) if model.inputs[n].hold == "zoh"}
+        late = {
+            n for n in inputs_without_feedthrough(model, output) if model.inputs[n].hold == "zoh"
+        }
         for name in recorded:
             column = list(model.inputs).index(name)
             pairs = []

@@ -335,7 +335,7 @@ def _input_stages(
     places += range(len(inputs) - forces, len(inputs))
     direct = np.zeros((1, len(inputs), len(places)))
     direct[0, places, range(len(places))] = 1.0
-    # An actuator at its largest rate feels no noise of its command, and follows it otherwise.
+    # An actuator at its largest rate passes no noise of its command, and follows it otherwise.
     stages = [s for s in model.stages if s.is_of_input and s.kind != "rate_input"]
     channels = [name for name in measured if any(s.channel == name for s in stages)]
     if not channels:

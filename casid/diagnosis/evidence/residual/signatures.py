@@ -26,7 +26,7 @@ from casid.diagnosis.evidence.residual.linearised_path import Linearised, Motion
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
-from casid.estimation.feedback import not_felt_yet, one_sample_late, slope
+from casid.estimation.feedback import inputs_without_feedthrough, one_sample_late, slope
 from casid.estimation.noise.noise_model import NoiseModel
 from casid.estimation.noise.residual_autoregressions import Autoregression, autoregression
 from casid.estimation.noise.thresholds import REMOVAL
@@ -99,7 +99,7 @@ class Regression:
         self.linearised, self.seed = linearised, seed
         self.ny = len(criterion.outputs)
         sd = np.array([input_sd.get(n, 0.0) for n in model.inputs])
-        self._late = not_felt_yet(model, place) if place in criterion.outputs else []
+        self._late = inputs_without_feedthrough(model, place) if place in criterion.outputs else []
         parts, drawn = [], []
         for motions in self.linearised.motions(sd, seed):
             own, *noisy = (self._stack(motion) for motion in motions)

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.estimation.feedback import not_felt_yet, slope
+from casid.estimation.feedback import inputs_without_feedthrough, slope
 from casid.estimation.noise.innovations import GROUP
 from casid.estimation.noise.thresholds import REMOVAL
 from casid.estimation.simulation.input_noise.input_noise import input_noise_sd
@@ -114,7 +114,7 @@ def extended_columns(fit: Fit, effects: Sequence[Effect]) -> Columns:
         for i, e in enumerate(scored)
         if e.kind in ("time_delay", "sensor_lag")
         and e.where in wide.outputs
-        and not_felt_yet(base.model, e.where)
+        and inputs_without_feedthrough(base.model, e.where)
     ]
     return Columns(
         wide,

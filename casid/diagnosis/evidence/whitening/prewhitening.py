@@ -158,9 +158,9 @@ class Weighing:
         """The weighing with input noise from the inputs' own spectra where these are more exact.
 
         A slow system shows the noise of its inputs in few lines of the residual, and a fit absorbs
-        most of those; an input that an output feels at once is as white there as the output's own
-        noise. The residual may then show none of it by chance, or that alone. Where the floor of
-        the channel agrees with it, as far as the fit lets it show, both count (`input_noise`).
+        most of those; an input that an output responds to at once is as white there as the output's
+        own noise. The residual may then show none of it by chance, or that alone. Where the floor
+        of the channel agrees with it, as far as the fit lets it show, both count (`input_noise`).
         """
         c = found.criterion
         measured = [n for n, entry in c.model.inputs.items() if entry.kind == "measured"]
@@ -346,8 +346,8 @@ class Weighing:
     def _sensors_alone(self, fit: Fit, full: NoiseModel) -> NoiseModel | None:
         """The noise of sensors and inputs alone, where the residual shows no more than that.
 
-        A force that an accelerometer feels at once is as white there as its sensor's own noise, and
-        takes a part of it by chance: each that was found has to be likelier by BIC.
+        A force that an accelerometer responds to at once is as white there as its sensor's own
+        noise, and takes a part of it by chance: each that was found has to be likelier by BIC.
         """
         if not full.forces(fit.criterion.model.inputs):
             return None

@@ -16,10 +16,10 @@ from casid.estimation.simulation.simulation_error import SimulationError
 def not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
     """The noise with a white floor: the quietest part of the residual, small against the misfit.
 
-    A force that an output feels at once (an accelerometer) explains its sensor's noise as well as
-    a sensor does. And where sensors are all but free of noise, whitening would give the word to
-    frequencies at which hardly anything is left, and misfit of another kind, beside what is to be
-    named.
+    A force to which an output responds at once (an accelerometer) explains its sensor's noise as
+    well as a sensor does. And where sensors have next to no noise, whitening would give most weight
+    to frequencies at which hardly anything is left, and misfit of another kind, beside what is to
+    be named.
     """
     parts = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     left = np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
