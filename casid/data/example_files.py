@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from casid.data.experiment import Experiment
+from casid.data.experiment import Experiment, listed_experiments
 from casid.data.problem import Problem
 from casid.data.reading.columns import ColumnSpec, clock_and_unit
 from casid.data.record import Record
@@ -52,8 +52,10 @@ def write_examples(problem: Problem, path: str | Path, *, force: bool = False) -
 
 def _raw_examples(problem: Problem) -> list[Experiment]:
     """The example before channels are derived: a file holds what they are derived from."""
-    given = problem.example() if problem.example is not None else problem.examples()
-    return [Experiment(given)] if isinstance(given, Record) else list(given)
+    if problem.example is None:
+        return problem.examples()  # refuses it
+    given = listed_experiments(problem.example(), f"the example of problem {problem.name}")
+    return [Experiment(e) if isinstance(e, Record) else e for e in given]
 
 
 def _file_names(path: Path, experiments: list[Experiment]) -> list[Path]:

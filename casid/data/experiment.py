@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -101,3 +101,27 @@ class Experiment(Viewed, PickledByFields):
     def __repr__(self) -> str:
         known = ", ".join(f"{n} = {v:g}" for n, v in self.known.items()) or "nothing known"
         return f"<Experiment {self.name}: {known}; {self.record!r}>"
+
+
+Given = Sequence[Experiment | Record] | Experiment | Record
+"""What a function that makes experiments may return."""
+
+
+def listed_experiments(given: Given, what: str) -> list[Experiment | Record]:
+    """Experiments and records that a function returned, one or several.
+
+    Parameters
+    ----------
+    what : the function, in words.
+
+    Raises
+    ------
+    DataError
+        If there is none, or anything else.
+    """
+    every = [given] if isinstance(given, Record | Experiment) else list(given)
+    if not every or not all(isinstance(e, Record | Experiment) for e in every):
+        raise DataError(
+            f"{what} returns no experiment; return a list of casid.Experiment or casid.Record"
+        )
+    return every

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from casid.argument_types import methods_name_wrong_types, names_wrong_types
 from casid.data.derived import Derived, derive
-from casid.data.experiment import Experiment
+from casid.data.experiment import Experiment, Given, listed_experiments
 from casid.data.external_signals import external_signals
 from casid.data.problem_module import importing, problem_file
 from casid.data.reading.columns import ColumnSpec, as_headed, resolve
@@ -35,9 +35,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from casid.model.effects.user_effects import UserEffect
-
-Given = Sequence[Experiment | Record] | Experiment | Record
-"""What a problem's example and simulator return."""
 
 
 @methods_name_wrong_types(ModelError)
@@ -437,12 +434,7 @@ class Problem(Presented):
 
     def _experiments_of(self, given: Given, what: str) -> list[Experiment]:
         """The experiments that a function of the problem returned, one or several."""
-        every = [given] if isinstance(given, Record | Experiment) else list(given)
-        if not every or not all(isinstance(e, Record | Experiment) for e in every):
-            raise DataError(
-                f"the {what} of problem {self.name} returns no experiment; return a list of "
-                "casid.Experiment or casid.Record"
-            )
+        every = listed_experiments(given, f"the {what} of problem {self.name}")
         return [self.experiment(e) if isinstance(e, Record) else e for e in every]
 
     def with_known(self, known: Mapping[str, float]) -> Problem:

@@ -22,8 +22,8 @@ def _of_record(fit: Fit, e: int) -> Iterator[str]:
     for i, output in enumerate(criterion.outputs):
         rows = np.flatnonzero(data.used[:, i])
         whole = np.zeros(rows.size, dtype=bool)
-        both = [isolated_spikes(each[rows, i], whole) for each in (data.y, residual)]
-        at = rows[np.intersect1d(*both)]
+        measured, left = (isolated_spikes(each[rows, i], whole) for each in (data.y, residual))
+        at = rows[np.intersect1d(measured, left)]
         if at.size:
             found = spiked(output, t[at])
             yield f"{name}: {found.channel}: {found.text} {found.remedy}"

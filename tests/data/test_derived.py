@@ -9,6 +9,7 @@ import pytest
 
 import casid
 from casid.data.derived import Derived, derive, propagated_noise
+from casid.data.example_files import write_examples
 from casid.data.local_polynomial import LocalPolynomial
 from casid.errors import DataError, ModelError
 
@@ -214,3 +215,17 @@ def test_what_a_problem_may_not_derive_is_refused():
     chain = {"a": Derived("m/s^2", {"w": "m/s"}, acceleration), "w": ENTRY}
     with pytest.raises(ModelError, match="compute 'a' from the sources of 'w'"):
         dataclasses.replace(cart(), derived=chain, channels={}, noise={})
+
+
+@pytest.mark.parametrize("made", [lambda e: e, lambda e: [e], lambda e: e.record])
+def test_an_example_of_one_record_is_written_with_the_sources_of_its_derived_channels(
+    tmp_path, made
+):
+    """A file holds what a channel is derived from, and the example may be one experiment."""
+    own = record().rename({"psi": "w"})
+    problem = dataclasses.replace(
+        cart(), example=lambda: made(casid.Experiment(own)), channels={"v": "v", "w": "w"}
+    )
+    (path,) = write_examples(problem, tmp_path / "run.csv").values()
+    header = path.read_text().split("\n", 1)[0]
+    assert header == "t,v,w"
