@@ -23,8 +23,8 @@ class ProfileInterval:
 
     Attributes
     ----------
-    lower, upper : NaN where no refit beside the estimate found a value that the records do not
-        reject: the refits ended short of their minima.
+    lower, upper : NaN where the refits next to the estimate ended short of their minima: all that
+        was found beside it would be rejected.
     lower_minimum : where the criterion is lower than at the estimate, the value of the unknown.
     """
 
@@ -74,7 +74,7 @@ class _Search:
     def end(self, side: float) -> float:
         """Where the root is that of the quantile, on one side; the bound where it comes first.
 
-        NaN where no refit has a smaller root than that.
+        NaN where the root leaps over it next to the estimate.
         """
         target = float(norm.ppf(0.5 + 0.5 * PROFILE_SEARCH.level))
         middle = float(self.scaled.x[self.i])
@@ -95,7 +95,8 @@ class _Search:
             else:
                 inner = (held, root)
             held = _next(middle, inner, outer, target)
-        if inner[0] == middle:
+        least = PROFILE_SEARCH.nearest * self.scaled.std_error(self.i)
+        if inner[0] == middle or abs(outer[0] - middle) < least:
             return np.nan
         return outer[0] if np.isfinite(outer[1]) else side * np.inf
 

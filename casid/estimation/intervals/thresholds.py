@@ -37,6 +37,12 @@ class ProfileSearch:
         0.005, "of the root of the rise at an end: so much of the half length", _PROFILE
     )
     refits: int = _is(16, "refits for one end, at most", _PROFILE)
+    nearest: float = _is(
+        0.05,
+        "standard errors from the estimate, within which the criterion does not leap: refits that "
+        "do there ended short of their minima",
+        _PROFILE,
+    )
     farthest_of_root: float = _is(
         6.0,
         "standard errors from a root of equations, beyond which the bias of the inputs' noise is "

@@ -128,9 +128,17 @@ def step_response(seed, *, length=0.6, samples=300, sd=0.12):
     return casid.Record({"u": np.ones(samples), "y": y}, {"u": "1", "y": "1"}, length / samples)
 
 
-def test_where_refits_end_short_of_their_minima_the_interval_is_normal_and_says_so(monkeypatch):
-    """Their drop rejects nothing: the interval had shrunk to the estimate."""
-    monkeypatch.setattr(ScaledCriterion, "refit", lambda scaled, i, held, start: (1e6, start))
+@pytest.mark.parametrize("reached", [0.0, 0.01])
+def test_where_refits_end_short_of_their_minima_the_interval_is_normal_and_says_so(
+    monkeypatch, reached
+):
+    """Their drop rejects nothing: the interval had shrunk to the estimate, or next to it."""
+
+    def short(scaled, i, held, start):
+        is_near = abs(held - scaled.x[i]) < reached * scaled.std_error(i)
+        return (0.0 if is_near else 1e6), start
+
+    monkeypatch.setattr(ScaledCriterion, "refit", short)
     found = identify(gain_and_offset(), linear_record(), intervals="profile")
     for row in found.parameters:
         low, high = row.interval
