@@ -126,9 +126,7 @@ def state_scheduled_parameter(
         """Replace the parameter by one that goes with the state."""
         x, value, s = new.symbol(state), new.symbol(name), new.symbol(names[0])
         if is_straight:
-            moved = value + s * (ca.fabs(x) ** power - m)
-            if old.lower >= 0.0:
-                moved = ca.fmax(moved, SATURATIONS.left * value)
+            moved = _with_share(value + s * (ca.fabs(x) ** power - m), value, old)
         else:
             # A parameter may be zero, in a load case say: it stays zero.
             moved = value * (value - s * m) / (value - s * x**2 + carrying_unit(1e-150))
@@ -149,6 +147,51 @@ def state_scheduled_parameter(
         constants={"mean": size.mean, "power": float(power), "straight": float(is_straight)},
         declared_units={p.name: _per(model, name, state, model.symbol_units[state], power)},
     )
+
+
+def parabolic_schedule(
+    model: Model, name: str, state: str, line: Motion, square: Motion, about: float
+) -> Effect:
+    """A parameter p that changes along a parabola of a state or an input x, about any vertex x_0.
+
+    p + c ((x - x_0)^2 - its mean), so that p stays what it is on average there: a resistance that
+    grows as a cell runs empty, a force factor that is highest beside the zero of the displacement.
+    Of a p that is no less than zero the same share is left as of one that falls straight.
+
+    Parameters
+    ----------
+    line, square : the motion of x and of x^2 in the records.
+    about : where x_0 is searched from, x's SI unit.
+    """
+    old, of = model.parameters[name], model.symbol_units[state]
+    c = Parameter(f"curvature_{name}_{state}", unit_quotient(old.unit, of, 2), 0.0)
+    x_0 = Parameter(f"vertex_{name}_{state}", of, about)
+    m, m_2 = carrying_unit(line.mean), carrying_unit(square.mean)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        x, value, vertex = new.symbol(state), new.symbol(name), new.symbol(names[1])
+        moved = value + new.symbol(names[0]) * (x**2 - m_2 - 2 * vertex * (x - m))
+        new.substitute_symbol(name, _with_share(moved, value, old))
+
+    return Effect(
+        "scheduled_parameter",
+        f"{name}~{state}",
+        (c, x_0),
+        apply,
+        priority=int(old.is_known),
+        cost=2,
+        description=f"the parameter {name} changes along a parabola of {state} about {x_0.name}",
+        constants={"mean": line.mean, "mean_square": square.mean},
+        declared_units={
+            c.name: _per(model, name, state, of, 2),
+            x_0.name: model.declared_units.get(state, of),
+        },
+    )
+
+
+def _with_share(moved: Any, value: Any, p: Parameter) -> Any:
+    """A changed value, of what is no less than zero at least a share of the value without it."""
+    return ca.fmax(moved, SATURATIONS.left * value) if p.lower >= 0.0 else moved
 
 
 def is_scheduled_by_state(effect: Effect) -> bool:

@@ -4,7 +4,9 @@ A parameter may fall with the size of a state or with its square, in proportion 
 Which of these it does was chosen while other causes were missing, and their misfit favours one or
 the other; the wrong one leaves a remainder that further effects then imitate. By a parabola and by
 what levels off a small change is the same: the parabola is compared here alone. So is a power of
-a recorded channel or an input, whose tangent at the mean is the line that was tested.
+a recorded channel or an input, whose tangent at the mean is the line that was tested. Where none of
+these leaves noise alone, slope and curvature may be missing together: a parabola about a vertex of
+its own is one law, of which each of them is a part.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
 
 from casid.diagnosis.evidence.records.signal_sizes import sizes_of
 from casid.diagnosis.evidence.whitening.weighted_model import minus_log_likelihood
@@ -24,6 +27,7 @@ from casid.diagnosis.search.adoption.refinement import (
 )
 from casid.diagnosis.search.candidates import Candidate, as_placed, extended_by, name_of
 from casid.diagnosis.search.comparison.simulation_errors import on_common_samples, simulation_errors
+from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.thresholds import COMPARISON
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
@@ -32,6 +36,7 @@ from casid.model.effects.parameter_effects import (
     is_scheduled_by_channel,
     is_scheduled_by_power,
     is_scheduled_by_state,
+    parabolic_schedule,
     power_scheduled_parameter,
     scheduled_parameter,
     spread_of_input,
@@ -48,10 +53,12 @@ def with_better_powers(refine: Refinement, found: Adoption) -> Adoption:
         effect = found.adopted[i].candidate.effect
         if is_scheduled_by_state(effect):
             for other, step in _other_powers(refine, found, i):
-                found = _by_the_better(refine, found, i, other, step)
+                found = _by_the_better(refine, found, i, other, (step,))
+            if not is_noise_alone(found.at, refine.search):
+                found = _along_a_parabola(refine, found, i)
         elif is_scheduled_by_channel(effect):
             for other, step in _other_laws(refine, found, i):
-                found = _by_the_better(refine, found, i, other, step, least=COMPARISON.likely)
+                found = _by_the_better(refine, found, i, other, (step,), least=COMPARISON.likely)
     return found
 
 
@@ -78,6 +85,37 @@ def _other_powers(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple
                 yield effect, change / (motion.high - motion.low)
 
 
+def _along_a_parabola(refine: Refinement, found: Adoption, i: int) -> Adoption:
+    """The change along a parabola about a vertex of its own, where that pays for the vertex.
+
+    It is searched from parabolas whose vertex is as far on either side of the mean as the signal
+    ranges, with the change over the motion that the present law has.
+    """
+    assert found.fit is not None
+    own = found.adopted[i].candidate
+    name, state = own.effect.where.split("~")
+    sizes, x = sizes_of(found.at, refine.search.recorded), found.at.model.symbol(state)
+    line, square, size = (sizes.motion_of(e) for e in (x, x**2, ca.fabs(x)))
+    mine = sizes.motion_of(ca.fabs(x) ** int(own.effect.constants["power"]))
+    reach = line.high - line.low
+    if not (reach > 0.0 and size.high > size.low):
+        return found
+    # By the sign of the state the size falls or grows with it.
+    towards = 1.0 if line.mean >= 0.0 else -1.0
+    change = towards * found.fit.values[own.names[0]] * (mine.high - mine.low)
+    price = np.log(found.fit.criterion.n_samples)
+    best = found
+    for side in (-1.0, 1.0):
+        effect = parabolic_schedule(
+            refine.start.model, name, state, line, square, line.mean + side * reach
+        )
+        steps = (-side * change / (2 * reach**2), line.mean + side * reach)
+        other = _by_the_better(refine, found, i, effect, steps, least=price)
+        if other is not found and not minus_log_likelihood(best.at) < minus_log_likelihood(other.at):
+            best = other
+    return best
+
+
 def _other_laws(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple[Effect, float]]:
     """A power of the channel for a line, a line for a power, with the same slope at the mean."""
     assert found.fit is not None
@@ -102,12 +140,18 @@ def _other_laws(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple[E
 
 
 def _by_the_better(
-    refine: Refinement, found: Adoption, i: int, effect: Effect, step: float, least: float = 0.0
+    refine: Refinement,
+    found: Adoption,
+    i: int,
+    effect: Effect,
+    steps: tuple[float, ...],
+    least: float = 0.0,
 ) -> Adoption:
-    """The causes with another effect in the place of one of as many parameters, if it is better.
+    """The causes with another effect in the place of one, if it is better.
 
     Parameters
     ----------
+    steps : where the parameters of the effect start.
     least : twice the logarithm of how much likelier it is at least.
     """
     fit = found.fit
@@ -117,7 +161,7 @@ def _by_the_better(
     causes = [a.candidate for a in found.adopted]
     causes[i] = replace(own, effect=effect, names=tuple(p.name for p in effect.parameters))
     what = f"the comparison of powers of the {name_of(effect)}"
-    other = refine.search.attempts.attempt(what, lambda: _fitted(refine, causes, fit, i, step))
+    other = refine.search.attempts.attempt(what, lambda: _fitted(refine, causes, fit, i, steps))
     if other is None:
         return found
     placed, new = other
@@ -134,12 +178,12 @@ def _by_the_better(
 
 
 def _fitted(
-    refine: Refinement, causes: list[Candidate], near: Fit, i: int, step: float
+    refine: Refinement, causes: list[Candidate], near: Fit, i: int, steps: tuple[float, ...]
 ) -> tuple[list[Candidate], Fit]:
-    """Causes in the model as it is, and its fit from the last one, the i-th cause from `step`."""
+    """Causes in the model as it is, and its fit from the last one, the i-th cause from `steps`."""
     model, placed = extended_by(refine.start.model, causes)
     others = [k for k in range(len(causes)) if k != i]
-    values = {**near.values, placed[i].names[0]: step}
+    values = {**near.values, **dict(zip(placed[i].names, steps, strict=True))}
     values |= values_by_new_names([placed[k] for k in others], [causes[k] for k in others])
     new = whole_fit(model, refine.split, refine.settings, refine.units, values)
     return [replace(c, fit=new) for c in placed], new

@@ -44,14 +44,19 @@ def cell() -> casid.Model:
     return m
 
 
-def record(law: str) -> casid.Record:
-    """800 samples of 1 s from a full cell whose resistance falls with the charge z."""
+def record(law: str, samples: int = 800) -> casid.Record:
+    """Samples of 1 s from a full cell whose resistance falls with the charge z."""
     rng = np.random.default_rng(3)
-    current = np.repeat(rng.choice([-1.0, 0.0, 2.0, 5.0], 80), 10)
+    current = np.repeat(rng.choice([-1.0, 0.0, 2.0, 5.0], samples // 10), 10)
     z, v, voltage = 0.9, 0.0, np.empty(current.size)
     decay = np.exp(-1.0 / 20.0)
     for k, i in enumerate(current.tolist()):
-        R_0 = {"line": 0.03 - 0.02 * z, "parabola": 0.03 - 0.02 * z**2, "fall": 0.03 / (1 + z**2)}
+        R_0 = {
+            "line": 0.03 - 0.02 * z,
+            "parabola": 0.03 - 0.02 * z**2,
+            "fall": 0.03 / (1 + z**2),
+            "vertex": 0.02 + 0.04 * (1 - z) ** 2,
+        }
         voltage[k] = 3.5 + 0.5 * z - R_0[law] * i - v
         v = decay * v + (1 - decay) * 0.015 * i
         z -= i / 2000.0
@@ -110,6 +115,23 @@ def test_the_law_is_that_of_the_record_whichever_was_named(true: str, named: str
         error = abs(found.fit.values["slope_R_0_z"] + 0.02)
         # Of N = 560 samples with a current of 2.7 A RMS, whose z spreads by 0.08 about its mean.
         assert error < 4 * NOISE / (560**0.5 * 2.7 * 0.08)
+
+
+@pytest.mark.parametrize("named", ["line", "fall"])
+def test_slope_and_curvature_that_are_missing_together_are_one_parabola(named: str) -> None:
+    """R_0 = 0.02 ohm + 0.04 ohm (1 - z)^2: no law of z that has its vertex at 0 leaves noise."""
+    model = cell()
+    of = refinement(model, record("vertex", 1500), {})
+    power, is_straight = LAWS[named]
+    size = sizes_of(of.start, {}).motion_of(model.symbol("z") ** power)
+    effect = state_scheduled_parameter(model, "R_0", "z", size, power, is_straight=is_straight)
+    found = with_better_powers(of, adopted(of, effect, -0.01))
+    (kept,) = found.adopted
+    assert kept.candidate.names == ("curvature_R_0_z", "vertex_R_0_z")
+    assert found.fit is not None
+    for name, true in zip(kept.candidate.names, (0.04, 1.0), strict=True):
+        error = std_error(found.fit, name)
+        assert abs(found.fit.values[name] - true) < 4 * error < 0.2
 
 
 def heater() -> casid.Model:
