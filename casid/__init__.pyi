@@ -85,6 +85,7 @@ from .model.effects.channels.channel_effects import (
     sensor_lag,
     time_delay,
 )
+from .model.effects.channels.digital_filters import digital_filter
 from .model.effects.effect import Effect
 from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
 from .model.model import Model
@@ -212,6 +213,7 @@ __all__ = [
     "design_experiment",
     "detrend",
     "diagnose",
+    "digital_filter",
     "direct_model",
     "direct_model_of",
     "dynamic_network",

@@ -281,7 +281,7 @@ class _Stages:
             return  # it does nothing
         elif stage.kind == "delay":
             self.delays[stage.channel] = self.delays.get(stage.channel, 0.0) + value
-        elif stage.kind == "lag":
+        elif stage.kind in ("lag", "filter"):
             self._lag_output(stage)
         elif stage.kind == "late_input":
             self.dead_times[stage.channel] = value

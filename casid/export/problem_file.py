@@ -41,6 +41,7 @@ _EXTENSIONS = {
     "delay": ("time_delay", "longest"),
     "delay_input": ("time_delay", "longest"),
     "lag": ("sensor_lag", "longest"),
+    "filter": ("digital_filter", "longest"),
     "lead_input": ("sensor_lag", "longest"),
     "late_input": ("dead_time", "longest"),
     "lag_input": ("actuator_lag", "longest"),

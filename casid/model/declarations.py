@@ -201,6 +201,7 @@ class Balance:
 StageKind = Literal[
     "delay",
     "lag",
+    "filter",
     "clip",
     "delay_input",
     "lead_input",
@@ -219,12 +220,12 @@ SENSED: Mapping[str, Literal["delay", "lag"]] = {"delay_input": "delay", "lead_i
 class Stage:
     """What a sensor or an actuator does to its channel, beyond an expression.
 
-    An output may be late (`delay`), pass a first-order lag (`lag`) or be clipped (`clip`). Of an
-    input what acted is found: the recorded column moved ahead (`delay_input`), rid of its sensor's
-    lag (`lead_input`), or sent through an actuator's dead time (`late_input`), lag (`lag_input`),
-    play (`play_input`) or largest rate (`rate_input`). The column is prepared before the
-    simulation; `carrier` is the generated input that brings its change with `parameter` into the
-    sensitivities.
+    An output may be late (`delay`), pass a first-order lag (`lag`), be filtered by what samples it
+    (`filter`) or be clipped (`clip`). Of an input what acted is found: the recorded column moved
+    ahead (`delay_input`), rid of its sensor's lag (`lead_input`), or sent through an actuator's
+    dead time (`late_input`), lag (`lag_input`), play (`play_input`) or largest rate (`rate_input`).
+    The column is prepared before the simulation; `carrier` is the generated input that brings its
+    change with `parameter` into the sensitivities.
 
     `least` is the narrowest play: without play the contacts are those of that one, not of noise.
     `begins` is where what acts through play stands as a record begins, in gaps beside the command.

@@ -25,6 +25,7 @@ Expr = Any  # a CasADi SX expression
 _STAGES = {
     "delay": ("{c}(t - {p})", "the sensor is late"),
     "lag": ("{c} behind a lag of {p}", "the sensor lags"),
+    "filter": ("{c} behind a digital filter of {p}", "the samples are filtered"),
     "clip": ("{c} clipped at {p}", "the sensor is limited"),
     "delay_input": ("{c}(t + {p})", "the record is late"),
     "lead_input": ("{c} + {p} d{c}/dt", "the record lags"),

@@ -118,7 +118,9 @@ def _varies(noise: NoiseModel, criterion: SimulationError) -> bool:
 
 def _is_followed(stage: Stage, noise: NoiseModel) -> bool:
     """Whether the steps of a record hold what a stage does to noise (`varying_steps`)."""
-    return stage.kind == "lag" or (stage.is_of_input and not noise.source_sd.get(stage.channel))
+    return stage.kind in ("lag", "filter") or (
+        stage.is_of_input and not noise.source_sd.get(stage.channel)
+    )
 
 
 def along_record(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:

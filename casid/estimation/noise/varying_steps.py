@@ -70,12 +70,10 @@ def steps_along(
     of = [e.inputs.index(n) for n in measured]
     of += range(len(e.inputs) - len(forced), len(e.inputs))
     steps = Steps((*measured, *forced), d.Ts, a, b0[:, :, of], b1[:, :, of], c, dd[:, :, of])
-    lags = {
-        criterion.outputs.index(s.channel): criterion.value_of(s.parameter, x, experiment) / d.Ts
-        for s in criterion.model.stages
-        if s.kind == "lag"
-    }
-    steps = _behind_lags(steps, lags)
+    for s in criterion.model.stages:
+        if s.kind in ("lag", "filter"):
+            r = criterion.value_of(s.parameter, x, experiment) / d.Ts
+            steps = _behind_lag(steps, criterion.outputs.index(s.channel), s.kind, r)
     # What moved a state before does not reach the one in which the next window begins.
     if criterion.is_cut(experiment):
         before = criterion.starts_anew(experiment) - 1
@@ -83,38 +81,36 @@ def steps_along(
     return steps
 
 
-def _behind_lags(steps: Steps, lags: Mapping[int, float]) -> Steps:
-    """The steps with outputs behind lags, whose sensors have a state of their own.
+def _behind_lag(steps: Steps, output: int, kind: str, r: float) -> Steps:
+    """The steps with an output behind a lag or a filter, which has a state of its own.
 
         z_{k+1} = E z_k + w_0 y_k + w_1 y_{k+1},    E = exp(-1 / r)                            (1)
 
-    is exact of an output y that is a straight line in each sample, with w_1 = 1 - r (1 - E) and
-    w_0 = 1 - E - w_1.
+    is exact behind a lag of an output y that is a straight line in each sample, with
+    w_1 = 1 - r (1 - E) and w_0 = 1 - E - w_1. A digital filter has E = r / (1 + r) and w_0 = 0.
 
     Parameters
     ----------
-    lags : output -> r, its time constant over the sample time.
+    r : the time constant over the sample time.
     """
-    for output, r in lags.items():
-        decay = float(np.exp(-1 / max(r, TINY)))
-        last = 1 - r * (1 - decay)
-        first = 1 - decay - last
-        shown, direct = steps.c[:, output], steps.d[:, output]
-        next_shown, next_direct = (np.vstack([m[1:], m[-1:]]) for m in (shown, direct))
-        reached = [
-            first * now + last * np.einsum("ki,kij->kj", next_shown, moved)
-            for now, moved in ((shown, steps.a), (direct, steps.b0))
-        ]
-        ahead = last * (np.einsum("ki,kij->kj", next_shown, steps.b1) + next_direct)
-        N, nx = shown.shape
-        a = np.zeros((N, nx + 1, nx + 1))
-        a[:, :nx, :nx], a[:, nx, :nx], a[:, nx, nx] = steps.a, reached[0], decay
-        b0, b1 = (
-            np.concatenate([m, row[:, None]], axis=1)
-            for m, row in ((steps.b0, reached[1]), (steps.b1, ahead))
-        )
-        c, d = np.concatenate([steps.c, np.zeros((*steps.c.shape[:2], 1))], axis=2), steps.d.copy()
-        c[:, output], d[:, output] = 0.0, 0.0
-        c[:, output, nx] = 1.0
-        steps = replace(steps, a=a, b0=b0, b1=b1, c=c, d=d)
-    return steps
+    decay = float(np.exp(-1 / max(r, TINY))) if kind == "lag" else r / (1 + r)
+    last = 1 - r * (1 - decay) if kind == "lag" else 1 - decay
+    first = 1 - decay - last
+    shown, direct = steps.c[:, output], steps.d[:, output]
+    next_shown, next_direct = (np.vstack([m[1:], m[-1:]]) for m in (shown, direct))
+    reached = [
+        first * now + last * np.einsum("ki,kij->kj", next_shown, moved)
+        for now, moved in ((shown, steps.a), (direct, steps.b0))
+    ]
+    ahead = last * (np.einsum("ki,kij->kj", next_shown, steps.b1) + next_direct)
+    N, nx = shown.shape
+    a = np.zeros((N, nx + 1, nx + 1))
+    a[:, :nx, :nx], a[:, nx, :nx], a[:, nx, nx] = steps.a, reached[0], decay
+    b0, b1 = (
+        np.concatenate([m, row[:, None]], axis=1)
+        for m, row in ((steps.b0, reached[1]), (steps.b1, ahead))
+    )
+    c, d = np.concatenate([steps.c, np.zeros((*steps.c.shape[:2], 1))], axis=2), steps.d.copy()
+    c[:, output], d[:, output] = 0.0, 0.0
+    c[:, output, nx] = 1.0
+    return replace(steps, a=a, b0=b0, b1=b1, c=c, d=d)

@@ -206,6 +206,7 @@ _CALLED = {
     "delay": "delay",
     "delay_input": "delay",
     "lag": "sensor's lag",
+    "filter": "digital filter",
     "lead_input": "sensor's lag",
     "late_input": "dead time",
     "lag_input": "actuator's lag",

@@ -52,6 +52,8 @@ from casid.model.effects.channels.channel_effects import (
     sensor_bias,
     time_delay,
 )
+from casid.model.effects.channels.digital_filters import digital_filters_of
+from casid.model.effects.channels.laws_of_outputs import bends_of
 from casid.model.effects.channels.recorded_commands import is_moved
 from casid.model.effects.channels.sensor_effects import sensor_effects_of
 from casid.model.effects.clock_effects import clock_effects_of
@@ -124,6 +126,8 @@ def catalogue(
     effects += further_places_of_inputs(model, sizes)
     effects += channel_effects_of(model, sizes, recorded)
     effects += sensor_effects_of(model, sizes)
+    effects += bends_of(model, sizes)
+    effects += digital_filters_of(model, sizes)
     effects += actuator_effects_of(model, sizes)
     effects += missing_parts_of(model, places, sizes)
     effects += _parameter_variations(model, sizes, recorded)

@@ -57,6 +57,9 @@ RATE = "rate"
 RATE_LIMIT = "the actuator moves at no more than a rate"
 """What it does, in words."""
 
+DIGITAL = "digital filter"
+"""Shape of the lag of a sensor whose samples have passed one."""
+
 ACTS_LATE = "acts late"
 """Shape of the delay of a measured input that is not its sensor's."""
 

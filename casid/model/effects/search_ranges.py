@@ -22,6 +22,7 @@ _PLANES = f"{_TESTS}/places/test_planes.py"
 _SCHEDULED = f"{_TESTS}/test_scheduled_parameter.py"
 _LAGS = f"{_TESTS}/channels/test_actuator_lag.py"
 _PARTS = f"{_TESTS}/balances/test_missing_parts.py"
+_BENDS = f"{_TESTS}/channels/test_laws_of_outputs.py"
 _FLOW_LAWS = f"{_TESTS}/balances/test_flow_laws.py"
 _UNNAMED = f"{_TESTS}/balances/test_unnamed_effects.py"
 
@@ -341,7 +342,28 @@ class UnnamedEffects:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Bends:
+    """The search for a bend in what an output shows of a state."""
+
+    starts: tuple[float, ...] = _is(
+        (0.1, 0.4),
+        "of the range of the state, from which the width of the bend is searched",
+        _BENDS,
+    )
+    widths: tuple[float, float] = _is(
+        (0.01, 4.0),
+        "of that range, the bounds of the width: a narrower one is a corner within a few samples, "
+        "a wider one a parabola to 1 % of its size",
+        _BENDS,
+    )
+    grows: float = _is(
+        20.0, "widths beyond the range, from which the exponential goes on straight", _BENDS
+    )
+
+
 PARAMETER_JUMPS = ParameterJumps()
+BENDS = Bends()
 SATURATIONS = Saturations()
 MISSING_MODES = MissingModes()
 MISSING_STORES = MissingStores()

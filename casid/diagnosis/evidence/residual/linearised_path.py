@@ -19,9 +19,8 @@ from scipy.linalg.lapack import dtbtrs
 from casid.arrays import Array
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.estimation.noise.thresholds import REMOVAL
-from casid.estimation.simulation.channels.first_order_lags import lag_columns
 from casid.estimation.simulation.channels.known_rest import rest_before
-from casid.estimation.simulation.channels.sensor_dynamics import delay_columns
+from casid.estimation.simulation.channels.sensor_dynamics import late_columns
 from casid.estimation.simulation.input_noise.input_noise import input_noise_sd
 from casid.estimation.simulation.integration.simulator import rk4_sample
 from casid.estimation.simulation.records.signals import Signals
@@ -243,11 +242,10 @@ class Linearised:
                 continue
             i, value = self.criterion.outputs.index(stage.channel), p[names.index(stage.parameter)]
             rests = stage.channel in rest.outputs
-            if stage.kind == "delay":
-                late = delay_columns(response[:, i], float(value) / d.Ts, at_rest=rests)
-                response[:, i] = late
-            elif stage.kind == "lag":
-                response[:, i] = lag_columns(response[:, i], float(value) / d.Ts, at_rest=rests)[0]
-            else:
+            if stage.kind == "clip":
                 response[np.abs(y[:, i]) >= FUNCTIONS.at_limit * value, i] = 0.0
+            else:
+                samples = float(value) / d.Ts
+                late = late_columns(stage.kind, response[:, i], samples, at_rest=rests)
+                response[:, i] = late
         return response

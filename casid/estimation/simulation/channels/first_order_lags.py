@@ -53,6 +53,16 @@ def lag_columns(y: Array, samples: float, *, at_rest: bool = False) -> tuple[Arr
     return x, _recursion(decay, -first, change + slope * x[:-1])
 
 
+def filtered(y: Array, samples: float) -> tuple[Array, Array]:
+    """Samples (N, ...) behind x[k] = x[k-1] + (y[k] - x[k-1])/(1 + r), and its derivative with r.
+
+    An exponential moving average, r its time constant over the sample time; it begins at y[0].
+    """
+    keep = samples / (1 + samples)
+    x = _recursion(keep, y[0], (1 - keep) * y[1:])
+    return x, _recursion(keep, 0.0 * y[0], (x[:-1] - y[1:]) / (1 + samples) ** 2)
+
+
 def lag_held(u: Array, samples: float) -> tuple[Array, Array]:
     """Held columns (N, ...) behind a lag at the samples, and their derivative with the lag.
 

@@ -15,6 +15,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.estimation.simulation.channels.first_order_lags import (
     delay_held,
+    filtered,
     lag_columns,
     lag_held,
     lag_lines,
@@ -30,7 +31,7 @@ from casid.estimation.simulation.integration import band_limited
 from casid.model.declarations import Hold, Stage
 from casid.model.model import Model
 
-MEMORY = {"delay": 1.0, "lag": 5.0, "late_input": 1.0, "lag_input": 5.0}
+MEMORY = {"delay": 1.0, "lag": 5.0, "filter": 5.0, "late_input": 1.0, "lag_input": 5.0}
 """How long the unknown past is felt in a stage, in units of its parameter.
 
 Five time constants after its start less than a hundredth of what was before remains. What a late
@@ -38,7 +39,7 @@ or lagging input did before the record all outputs show; after that time the ini
 for it.
 """
 
-MOST_OF_LAG = {"lag": 0.25, "lag_input": 0.1}
+MOST_OF_LAG = {"lag": 0.25, "filter": 0.25, "lag_input": 0.1}
 """Share of a record that is left out for a lag at most.
 
 What was before dies away, and a lag whose five time constants are longer would leave nothing to
@@ -139,7 +140,7 @@ def through_sensor(
     """
     change: Array
     steps = d_steps = None
-    if before is not None and kind != "clip":
+    if before is not None and kind not in ("clip", "filter"):
         steps = _steps(y, before.y)
         y -= steps
         if jac is not None and before.jac is not None:
@@ -155,14 +156,14 @@ def through_sensor(
         change = -delay_columns(y, value / Ts, derivative=True, at_rest=at_rest) / Ts
         y[:] = delay_columns(y, value / Ts, at_rest=at_rest)
     else:
-        y[:], change = lag_columns(y, value / Ts, at_rest=at_rest)
+        passed = lag_columns(y, value / Ts, at_rest=at_rest) if kind == "lag" else None
+        y[:], change = passed or filtered(y, value / Ts)
         change = change / Ts
     if jac is not None and kind != "clip" and value != 0.0:
         # Some columns at a time: what is interpolated takes several times their room.
         for first in range(0, jac.shape[1], GROUP):
             some = jac[:, first : first + GROUP]
-            moved = delay_columns if kind == "delay" else _lagged
-            some[:] = moved(some, value / Ts, at_rest=at_rest)
+            some[:] = late_columns(kind, some, value / Ts, at_rest=at_rest)
     if steps is not None:
         held = delay_held if kind == "delay" else lag_held
         late, d_late = held(steps, value / Ts)
@@ -181,8 +182,15 @@ def _steps(y: Array, before: Array) -> Array:
     return steps
 
 
-def _lagged(columns: Array, samples: float, *, at_rest: bool) -> Array:
-    return lag_columns(columns, samples, at_rest=at_rest)[0]
+def late_columns(kind: str, columns: Array, samples: float, *, at_rest: bool) -> Array:
+    """Columns (N, ...) behind a delay, a lag or a filter of so many samples."""
+    if kind == "delay":
+        return delay_columns(columns, samples, at_rest=at_rest)
+    return (
+        lag_columns(columns, samples, at_rest=at_rest)[0]
+        if kind == "lag"
+        else (filtered(columns, samples)[0])
+    )
 
 
 _ORDER = ("late_input", "rate_input", "lag_input")
