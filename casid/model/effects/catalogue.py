@@ -65,7 +65,6 @@ from casid.model.effects.parameter_effects import (
     parameter_drift,
     parameter_jump,
     scheduled_parameter,
-    state_schedules_of,
 )
 from casid.model.effects.places.place import Place
 from casid.model.effects.places.places import places_of
@@ -78,6 +77,7 @@ from casid.model.effects.search_ranges import (
     SMOOTHING,
     UNNAMED_EFFECTS,
 )
+from casid.model.effects.state_schedules import state_schedules_of
 from casid.model.model import Model
 
 

@@ -1,8 +1,8 @@
-"""Effects in a parameter: it jumps, drifts, or depends on a channel that the model leaves out."""
+"""Effects in a parameter: it jumps, drifts, or depends on a channel or an input."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import casadi as ca
@@ -12,10 +12,10 @@ from casid.model.clock_signals import RampOver, StepAt
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balances.flow_laws import is_never_negative, rounded_power
-from casid.model.effects.effect import Effect, Motion, Sizes, Spread
+from casid.model.effects.effect import Effect, Sizes, Spread
 from casid.model.effects.names import FOR_A_WHILE
-from casid.model.effects.places.place import is_amount, is_mechanical, is_zero, recorded_inputs
-from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS, UNNAMED_EFFECTS
+from casid.model.effects.places.place import is_mechanical, is_zero, recorded_inputs
+from casid.model.effects.search_ranges import PARAMETER_JUMPS, UNNAMED_EFFECTS
 from casid.model.model import Model
 from casid.model.quantities import quantity_text
 from casid.model.units import declared_quotient, from_si, same_dimension, unit_quotient
@@ -99,226 +99,12 @@ def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Eff
     return Effect("parameter_drift", name, (p,), apply, span=(-0.5, 0.5), constants=chosen)
 
 
-def state_scheduled_parameter(
-    model: Model, name: str, state: str, size: Motion, power: int = 1, *, is_straight: bool = False
-) -> Effect:
-    """A parameter p that falls or grows with the size of a state or an input x.
-
-    Iron that saturates lowers a motor's constant or an inductance with the current, and the force
-    factor of a voice coil falls with its displacement. `size` is the motion of |x|^power in the
-    records (x's unit to that power), m its mean, so that p stays what it is there. With power 1 it
-    is p + s (|x| - m), and of a p that is no less than zero a share is left, so that an inertia
-    never vanishes; with power 2 it is p (p - s m) / (p - s x^2), which is smooth where x is zero
-    and keeps the sign of p however far it falls, or where it `is_straight` the parabola
-    p + s (x^2 - m), of which the same share is left.
-    """
-    old = model.parameters[name]
-    unit = old.unit
-    for _ in range(power):
-        unit = unit_quotient(unit, model.symbol_units[state], 1)
-    label = "slope" if power == 1 else "curvature"
-    p = Parameter(f"{label}_{name}_{state}", unit, 0.0)
-    m = carrying_unit(size.mean)
-
-    is_straight |= power == 1
-
-    def apply(new: Model, names: Sequence[str]) -> None:
-        """Replace the parameter by one that goes with the state."""
-        x, value, s = new.symbol(state), new.symbol(name), new.symbol(names[0])
-        if is_straight:
-            moved = _with_share(value + s * (ca.fabs(x) ** power - m), value, old)
-        else:
-            # A parameter may be zero, in a load case say: it stays zero.
-            moved = value * (value - s * m) / (value - s * x**2 + carrying_unit(1e-150))
-        new.substitute_symbol(name, moved)
-
-    # The slope at which p is zero, or near a pole, is p over minus these.
-    span = (-size.mean, size.mean)
-    if not is_straight:
-        span = (-SATURATIONS.poles * size.high, size.mean / SATURATIONS.falls)
-    return Effect(
-        "scheduled_parameter",
-        f"{name}~{state}",
-        (p,),
-        apply,
-        variant=float(power),
-        priority=int(old.is_known),
-        span=span,
-        constants={"mean": size.mean, "power": float(power), "straight": float(is_straight)},
-        declared_units={p.name: _per(model, name, state, model.symbol_units[state], power)},
-    )
-
-
-def parabolic_schedule(
-    model: Model, name: str, state: str, line: Motion, square: Motion, about: float
-) -> Effect:
-    """A parameter p that changes along a parabola of a state or an input x, about any vertex x_0.
-
-    p + c ((x - x_0)^2 - its mean), so that p stays what it is on average there: a resistance that
-    grows as a cell runs empty, a force factor that is highest beside the zero of the displacement.
-    Of a p that is no less than zero the same share is left as of one that falls straight.
-
-    Parameters
-    ----------
-    line, square : the motion of x and of x^2 in the records.
-    about : where x_0 is searched from, x's SI unit.
-    """
-    old, of = model.parameters[name], model.symbol_units[state]
-    c = Parameter(f"curvature_{name}_{state}", unit_quotient(old.unit, of, 2), 0.0)
-    x_0 = Parameter(f"vertex_{name}_{state}", of, about)
-    m, m_2 = carrying_unit(line.mean), carrying_unit(square.mean)
-
-    def apply(new: Model, names: Sequence[str]) -> None:
-        x, value, vertex = new.symbol(state), new.symbol(name), new.symbol(names[1])
-        moved = value + new.symbol(names[0]) * (x**2 - m_2 - 2 * vertex * (x - m))
-        new.substitute_symbol(name, _with_share(moved, value, old))
-
-    return Effect(
-        "scheduled_parameter",
-        f"{name}~{state}",
-        (c, x_0),
-        apply,
-        priority=int(old.is_known),
-        cost=2,
-        description=f"the parameter {name} changes along a parabola of {state} about {x_0.name}",
-        constants={"mean": line.mean, "mean_square": square.mean},
-        declared_units={
-            c.name: _per(model, name, state, of, 2),
-            x_0.name: model.declared_units.get(state, of),
-        },
-    )
-
-
-def _with_share(moved: Any, value: Any, p: Parameter) -> Any:
-    """A changed value, of what is no less than zero at least a share of the value without it."""
-    return ca.fmax(moved, SATURATIONS.left * value) if p.lower >= 0.0 else moved
-
-
-def is_scheduled_by_state(effect: Effect) -> bool:
-    """True of a parameter that changes with a power of a state or an input."""
-    return effect.kind == "scheduled_parameter" and "power" in effect.constants
-
-
-def inhibited_parameter(model: Model, name: str, state: str, size: Motion) -> Effect:
-    """The coefficient p of a reaction that falls with an amount x beside it: p / (1 + r x).
-
-    An enzyme that its product inhibits; r, one over the amount that halves p, is negative where x
-    helps. As p (1 + r m) / (1 + r x), m the mean of x (`size`), p stays what it is there.
-    """
-    unit = model.states[state].unit
-    own = Parameter(
-        f"inverse_K_{state}",
-        unit_quotient("1", unit),
-        0.0,
-        lower=-2.0 / (SATURATIONS.poles * size.largest),
-        upper=UNNAMED_EFFECTS.most_saturated / size.largest,
-    )
-    m = carrying_unit(size.mean)
-
-    def apply(new: Model, names: Sequence[str]) -> None:
-        x, r = new.symbol(state), new.symbol(names[0])
-        new.substitute_symbol(name, new.symbol(name) * (1 + r * m) / (1 + r * ca.fabs(x)))
-
-    return Effect(
-        "scheduled_parameter",
-        f"{name}~{state}",
-        (own,),
-        apply,
-        priority=int(model.parameters[name].is_known),
-        description=f"{name} changes with {state} as 1/(1 + {state}/K) does ({own.name} is 1/K)",
-        constants={"mean": size.mean},
-    )
-
-
-def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Parameters that no force in one place expresses, with the states of their own equations.
-
-    Such a parameter stands in several equations out of proportion (a motor's constant in torque and
-    voltage), in an inertia of no mass (an inductance), beside an input (the gain of an actuator
-    that falls with the speed), or in what a sensor shows alone (a battery's resistance); or it is
-    that of a reaction, which its product inhibits. Elsewhere it is a force that grows with its
-    state, and tested as one.
-    """
-    for name, p in model.parameters.items():
-        if p.is_constant or (p.is_known and p.value == 0.0):
-            continue
-        symbol = model.symbol(name)
-        inside = {
-            b.rate: b.total
-            for b in model.balances.values()
-            if any(ca.which_depends(b.total, symbol))
-        }
-        states = (
-            *_of_several(model, symbol, inside),
-            *_of_inertias(model, symbol),
-            *_of_gains(model, symbol, inside),
-            *_shown(model, symbol, inside),
-        )
-        for state in dict.fromkeys(states):
-            for power in range(1, SATURATIONS.powers + 1):
-                size = sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
-                if size.mean > 0.0:
-                    yield state_scheduled_parameter(model, name, state, size, power)
-        for state in _possible_inhibitors(model, symbol, inside):
-            size = sizes.motion_of(model.symbol(state))
-            if size.is_signed and size.low > 0.0:
-                yield inhibited_parameter(model, name, state, size)
-
-
-def _possible_inhibitors(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
-    """Amounts in the balances of a reaction on which its rate does not depend in the model.
-
-    The rate is what the parameter `symbol` multiplies in the balances `inside`.
-    """
-    shapes = [ca.jacobian(ca.SX(side), symbol) for side in inside.values()]
-    felt = {s.name() for shape in shapes for s in ca.symvar(shape)}
-    if len(inside) < 2 or not felt & {*inside}:
-        return []
-    return [s for s in inside if s not in felt and is_amount(model.states[s].unit)]
-
-
-def _of_several(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
-    """The rates that a parameter of several equations multiplies there, and their positions."""
-    shapes = [ca.jacobian(ca.SX(side), symbol) for side in inside.values()]
-    felt = {s.name() for shape in shapes for s in ca.symvar(shape) if s.name() in model.states}
-    rates = sorted(felt & {b.rate for b in model.balances.values()})
-    if len(inside) < 2 or len(rates) < 2:
-        return []
-    positions = [model.position_of(rate) for rate in rates]
-    return [*rates, *(p for p in positions if p is not None)]
-
-
-def _of_inertias(model: Model, symbol: Any) -> list[str]:
-    """The rates that a parameter is the inertia of, or divides as a whole; no masses."""
-    return [
-        b.rate
-        for b in model.balances.values()
-        if not is_mechanical(b.unit)
-        and (any(ca.which_depends(ca.SX(b.inertia), symbol)) or _divides(b.total, symbol))
-    ]
-
-
 def is_constant_term(model: Model, name: str) -> bool:
     """True for a parameter that a balance adds as it is: with a channel it is an `extra_input`."""
     rows = [b.total for b in model.balances.values()]
     slopes = [ca.jacobian(row, model.symbol(name)) for row in rows]
     inside = [s for s in slopes if s.nnz() and not s.is_zero()]
     return len(inside) == 1 and inside[0].is_constant()
-
-
-def _of_gains(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
-    """The rate of its balance and those of bodies, for a parameter that multiplies an input."""
-    inputs = [model.symbol(n) for n in recorded_inputs(model)]
-    shape = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), symbol)
-    if len(inside) != 1 or not any(any(ca.which_depends(shape, u)) for u in inputs):
-        return []
-    return [b.rate for b in model.balances.values() if b.rate in inside or is_mechanical(b.unit)]
-
-
-def _divides(side: Any, symbol: Any) -> bool:
-    """True for a side p^-1 f, f without p: a rate that is stated divided by its inertia p."""
-    slope = ca.jacobian(ca.SX(side), symbol)
-    return bool(slope.nnz()) and is_zero(slope * symbol + side)
 
 
 def input_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
@@ -385,17 +171,6 @@ def _of_states_with_levels(model: Model, sizes: Sizes) -> Iterator[tuple[str, st
                     yield name, channel
 
 
-def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
-    """States and inputs in the outputs that hold a parameter, where no equation of motion does."""
-    stated = [*model._rates.values(), *(b.inertia for b in model.balances.values())]
-    if inside or any(ca.which_depends(ca.vertcat(*stated), symbol)):
-        return []
-    outputs = [ca.SX(e) for e, _ in model.outputs.values()]
-    seen = [e for e in outputs if any(ca.which_depends(e, symbol))]
-    felt = {s.name() for e in seen for s in ca.symvar(e)}
-    return sorted(felt & {*model.states, *recorded_inputs(model)})
-
-
 def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:
     """A parameter p that depends on a recorded channel or an input c: p + s (c - c_mean).
 
@@ -422,7 +197,7 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
         span=span,
         priority=priority,
         constants={"mean": spread.mean},
-        declared_units={p.name: _per(model, name, channel, unit)},
+        declared_units={p.name: unit_per(model, name, channel, unit)},
     )
 
 
@@ -489,6 +264,6 @@ def _signal(new: Model, channel: str, unit: str, spread: Spread) -> Any:
     return new.add_input(Input(channel, unit, "known", spread.hold))
 
 
-def _per(model: Model, name: str, other: str, unit: str, power: int = 1) -> str:
+def unit_per(model: Model, name: str, other: str, unit: str, power: int = 1) -> str:
     """The declared unit of a parameter over that of a signal, or its SI `unit`: uH/A."""
     return declared_quotient(model.unit_of(name), model.declared_units.get(other, unit), power)

@@ -13,7 +13,8 @@ from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.effect import Motion, Spread
-from casid.model.effects.parameter_effects import inhibited_parameter, scheduled_parameter
+from casid.model.effects.parameter_effects import scheduled_parameter
+from casid.model.effects.state_schedules import inhibited_parameter
 from tests.model.effects.balances.test_flow_laws import reactor, reactor_record
 
 RATE, INHIBITED = 1.2e-3, 10.0  # 1/s, mmol/L

@@ -12,7 +12,8 @@ from casid.diagnosis.search import rounds
 from casid.diagnosis.thresholds import RESTARTS, SHORTLIST
 from casid.model.effects.channels.channel_effects import sensor_lag
 from casid.model.effects.effect import Motion
-from casid.model.effects.parameter_effects import parameter_jump, state_scheduled_parameter
+from casid.model.effects.parameter_effects import parameter_jump
+from casid.model.effects.state_schedules import state_scheduled_parameter
 
 
 @pytest.mark.parametrize(("times", "powers"), [(2.0, {1.0, 2.0}), (0.5, {1.0})])

@@ -11,7 +11,8 @@ import casid
 from casid.estimation.fitted.equations import ModelEquation, equations_of
 from casid.model.effects.balances.balance_effects import coulomb_friction, extra_input
 from casid.model.effects.effect import Effect, Motion, Spread
-from casid.model.effects.parameter_effects import scheduled_parameter, state_scheduled_parameter
+from casid.model.effects.parameter_effects import scheduled_parameter
+from casid.model.effects.state_schedules import state_scheduled_parameter
 
 DEGREE = 0.017453292519943295  # rad
 

@@ -17,11 +17,13 @@ from scipy.linalg import expm
 import casid
 from casid.model.effects.effect import Motion, Sizes, Spread
 from casid.model.effects.parameter_effects import (
-    inhibited_parameter,
     input_schedules_of,
     is_constant_term,
     power_scheduled_parameter,
     scheduled_parameter,
+)
+from casid.model.effects.state_schedules import (
+    inhibited_parameter,
     state_scheduled_parameter,
     state_schedules_of,
 )

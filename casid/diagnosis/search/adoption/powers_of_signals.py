@@ -35,14 +35,16 @@ from casid.model.effects.parameter_effects import (
     has_powers,
     is_scheduled_by_channel,
     is_scheduled_by_power,
-    is_scheduled_by_state,
-    parabolic_schedule,
     power_scheduled_parameter,
     scheduled_parameter,
     spread_of_input,
-    state_scheduled_parameter,
 )
 from casid.model.effects.search_ranges import SATURATIONS
+from casid.model.effects.state_schedules import (
+    is_scheduled_by_state,
+    parabolic_schedule,
+    state_scheduled_parameter,
+)
 
 
 def with_better_powers(refine: Refinement, found: Adoption) -> Adoption:

@@ -27,7 +27,7 @@ from casid.diagnosis.search.selection import POWERS
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.parameter_effects import is_scheduled_by_state
+from casid.model.effects.state_schedules import is_scheduled_by_state
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,8 @@ from casid.model.effects.parameter_effects import (
     has_powers,
     power_scheduled_parameter,
     scheduled_parameter,
-    state_scheduled_parameter,
 )
+from casid.model.effects.state_schedules import state_scheduled_parameter
 
 ONCE = casid.FitSettings(starts=1)
 NOISE = 1e-3  # V
