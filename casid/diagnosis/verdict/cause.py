@@ -52,7 +52,7 @@ class Alternative:
         return plain_fields(self, leave_out=("has_reason", "is_same_term"))
 
 
-_SHARES = ("scale", "gain", "saturated", "rate_limited")
+_SHARES = ("scale", "gain", "saturated", "rate_limited", "exponent")
 """Begin the names of parameters of a channel that have no unit, whatever the channel has."""
 
 

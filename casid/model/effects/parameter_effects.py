@@ -204,7 +204,7 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
 def power_scheduled_parameter(
     model: Model, name: str, channel: str, unit: str, spread: Spread
 ) -> Effect:
-    """A parameter p that grows or falls with a power of a channel or an input: p |c / c_mean|^n.
+    """A parameter p that goes with a power of a channel, an input or a state c: p |c / c_mean|^n.
 
     A heat transfer coefficient goes with the flow past it to the power 0.8 (Dittus and Boelter), a
     drag with the density to the power 1. At the mean of the fitted records p stays what it is. Near
@@ -259,7 +259,7 @@ def has_one_sign(spread: Spread) -> bool:
 
 def _signal(new: Model, channel: str, unit: str, spread: Spread) -> Any:
     """The symbol of a channel, which becomes an input where it is none."""
-    if channel in new.inputs:
+    if channel in new.inputs or channel in new.states:
         return new.symbol(channel)
     return new.add_input(Input(channel, unit, "known", spread.hold))
 

@@ -9,8 +9,8 @@ import casadi as ca
 
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.effect import Effect, Motion, Sizes
-from casid.model.effects.parameter_effects import unit_per
+from casid.model.effects.effect import Effect, Motion, Sizes, Spread
+from casid.model.effects.parameter_effects import has_powers, power_scheduled_parameter, unit_per
 from casid.model.effects.places.place import is_amount, is_mechanical, is_zero, recorded_inputs
 from casid.model.effects.search_ranges import SATURATIONS, UNNAMED_EFFECTS
 from casid.model.model import Model
@@ -153,9 +153,10 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
     Such a parameter stands in several equations out of proportion (a motor's constant in torque and
     voltage), in an inertia of no mass (an inductance), beside an input (the gain of an actuator
-    that falls with the speed), or in what a sensor shows alone (a battery's resistance); or it is
-    that of a reaction, which its product inhibits. Elsewhere it is a force that grows with its
-    state, and tested as one.
+    that falls with the speed), in what a sensor shows alone (a battery's resistance), or in a flow
+    that a sensor shows as well (a valve's coefficient); or it is that of a reaction, which its
+    product inhibits. Elsewhere it is a force that grows with its state, and tested as one. With a
+    state that keeps its sign what a sensor shows as well also goes as a power of it.
     """
     for name, p in model.parameters.items():
         if p.is_constant or (p.is_known and p.value == 0.0):
@@ -171,12 +172,17 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             *_of_inertias(model, symbol),
             *_of_gains(model, symbol, inside),
             *_shown(model, symbol, inside),
+            *(beside := _shown_as_well(model, symbol, inside)),
         )
         for state in dict.fromkeys(states):
             for power in range(1, SATURATIONS.powers + 1):
                 size = sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
                 if size.mean > 0.0:
                     yield state_scheduled_parameter(model, name, state, size, power)
+        for state in beside:
+            unit, spread = model.states[state].unit, spread_of_state(model, sizes, state)
+            if has_powers(spread, unit):
+                yield power_scheduled_parameter(model, name, state, unit, spread)
         for state in _possible_inhibitors(model, symbol, inside):
             size = sizes.motion_of(model.symbol(state))
             if size.is_signed and size.low > 0.0:
@@ -240,3 +246,26 @@ def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
     seen = [e for e in outputs if any(ca.which_depends(e, symbol))]
     felt = {s.name() for e in seen for s in ca.symvar(e)}
     return sorted(felt & {*model.states, *recorded_inputs(model)})
+
+
+def _shown_as_well(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
+    """States that a parameter multiplies both in one balance and in an output.
+
+    The flow through a valve fills a tank, and its meter shows it: a law of the balance alone would
+    leave what the meter shows as it is.
+    """
+    outputs = [ca.SX(e) for e, _ in model.outputs.values()]
+    seen = [e for e in outputs if any(ca.which_depends(e, symbol))]
+    if len(inside) != 1 or not seen:
+        return []
+    there, here = (
+        {s.name() for side in sides for s in ca.symvar(ca.jacobian(ca.SX(side), symbol))}
+        for sides in (seen, inside.values())
+    )
+    return [state for state in model.states if state in there & here]
+
+
+def spread_of_state(model: Model, sizes: Sizes, state: str) -> Spread:
+    """The range of a state in the simulation, about its middle."""
+    motion = sizes.motion_of(model.symbol(state))
+    return Spread(0.5 * (motion.low + motion.high), motion.low, motion.high)

@@ -64,3 +64,9 @@ def test_a_share_and_a_gain_have_no_unit_where_the_channel_has_ppm():
     shown = cause.in_units({"co2": "ppm"}).parameters
     assert [p.unit for p in shown] == ["1", "1", "ppm"]
     assert [p.value for p in shown] == pytest.approx([0.34, 0.08, 300.0])
+
+
+def test_an_exponent_is_a_number_where_the_state_has_per_cent():
+    law = Cause("unknown", "v", p_value=0.0, parameters=(Estimated("exponent_v", 1.5, "1"),))
+    (exponent,) = law.in_units({"v": "%"}).parameters
+    assert (exponent.value, exponent.unit) == (1.5, "1")

@@ -58,7 +58,7 @@ def with_better_powers(refine: Refinement, found: Adoption) -> Adoption:
                 found = _by_the_better(refine, found, i, other, (step,))
             if not is_noise_alone(found.at, refine.search):
                 found = _along_a_parabola(refine, found, i)
-        elif is_scheduled_by_channel(effect):
+        elif is_scheduled_by_channel(effect) and not _is_of_state(refine, effect):
             for other, step in _other_laws(refine, found, i):
                 found = _by_the_better(refine, found, i, other, (step,), least=COMPARISON.likely)
     return found
@@ -85,6 +85,11 @@ def _other_powers(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple
             is_other = any(effect.constants[n] != constants[n] for n in ("power", "straight"))
             if is_other and motion.high > motion.low:
                 yield effect, change / (motion.high - motion.low)
+
+
+def _is_of_state(refine: Refinement, effect: Effect) -> bool:
+    """True of a parameter that changes with a state, which no record has."""
+    return effect.where.split("~")[1] in refine.start.model.states
 
 
 def _along_a_parabola(refine: Refinement, found: Adoption, i: int) -> Adoption:
