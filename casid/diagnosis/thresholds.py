@@ -625,6 +625,13 @@ class Comparison:
         POWER_STUDY,
         'Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "strong"',
     )
+    very_strong: float = _is(
+        10.0,
+        "units of BIC that reject an effect with a name against a function without one, which one "
+        "record in twenty prefers by chance",
+        "tests/diagnosis/search/comparison/test_alternatives.py",
+        'Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong"',
+    )
     relative_gain: float = _is(
         0.3, "share of the best gain below which a candidate cannot win", POWER_STUDY
     )

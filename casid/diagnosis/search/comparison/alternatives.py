@@ -226,9 +226,10 @@ def rivals_of(
 ) -> tuple[Rival, ...]:
     """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6)).
 
-    Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence;
-    where it absorbs misfit, gains are no likelihoods, and Vuong's test counts as well. The best
-    come first, and of those that are the same thing in this model the one named by convention.
+    Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence, and
+    ten, "very strong", are asked of a function without a name against an effect that has one; where
+    it absorbs misfit, gains are no likelihoods, and Vuong's test counts as well. The best come
+    first, and of those that are the same thing in this model the one named by convention.
 
     Nor does a likelihood tell laws of one balance apart where a disturbance adds much to the motion
     that is simulated: a law acts on the sum of both. Its mean over the motion that is not simulated
@@ -254,12 +255,14 @@ def rivals_of(
         is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
         is_open |= is_blurred and _is_near_law(best, c)
         # Worse only by what noise of the inputs is taken off: neither is better. Of a channel that
-        # predicts a noisy input that is all its advantage.
-        is_open |= total < 0.0 and c.effect.kind != "extra_input"
+        # predicts a noisy input that is all its advantage, and of what else explains little.
+        is_open |= total < 0.0 and is_near and c.effect.kind != "extra_input"
         is_worse = 2 * total > COMPARISON.strong and p < COMPARISON.vuong_p
         if c.merit > best.merit and is_worse and best.effect.kind != "extra_input":
             continue  # better only by more noise of the inputs than there is
-        if c.merit > best.merit - COMPARISON.strong or is_open:
+        is_plainer = best.effect.is_unnamed and not c.effect.is_unnamed
+        least = COMPARISON.very_strong if is_plainer else COMPARISON.strong
+        if c.merit > best.merit - least or is_open:
             out.append(Rival(c, max(p, TINY)))
     same = COMPARISON.same
     return tuple(sorted(out, key=lambda r: (-round(r.p_value / same), r.candidate.effect.priority)))

@@ -29,6 +29,7 @@ from casid.model.effects.balances.balance_effects import (
 )
 from casid.model.effects.balances.contact_effects import end_stop
 from casid.model.effects.balances.friction_effects import hysteresis
+from casid.model.effects.balances.unnamed_effects import unnamed_effects
 from casid.model.effects.effect import Effect
 from casid.model.effects.parameter_effects import parameter_jump
 from problems import roll_decay
@@ -138,6 +139,24 @@ def test_what_noise_of_the_inputs_alone_makes_worse_stays_a_rival(worse: float) 
     assert 500.0 - 480.0 > COMPARISON.strong
     rivals = [r.candidate for r in rivals_of(CALM, best, [best, other])]
     assert rivals == ([other] if worse < 0.0 else [])
+
+
+def test_what_explains_little_is_no_rival_by_what_noise_of_the_inputs_it_takes_up() -> None:
+    """Of an oven that radiates, a lag of the hall's temperature had a gain below zero."""
+    best, lag = as_fitted(LAW, 500.0, 1.0), as_fitted(JUMP, -20.0, 0.9)
+    assert rivals_of(CALM, best, [best, lag]) == ()
+
+
+@pytest.mark.parametrize(("ahead", "is_open"), [(8.0, True), (11.0, False)])
+def test_a_function_without_a_name_has_to_be_far_better_than_an_effect_with_one(
+    ahead: float, is_open: bool
+) -> None:
+    """One record in twenty prefers a wrong power by six units of BIC."""
+    root = next(e for e in unnamed_effects(MODEL, "torque", 0.1) if e.shape.startswith("sqrt"))
+    assert COMPARISON.strong < ahead
+    unnamed, named = as_fitted(root, 500.0, 1.0), as_fitted(LAW, 500.0 - ahead, 1.1)
+    assert (rivals_of(CALM, unnamed, [unnamed, named]) != ()) is is_open
+    assert rivals_of(CALM, named, [named, unnamed]) != ()
 
 
 def test_a_channel_that_predicts_a_noisy_input_is_no_rival_by_smaller_errors() -> None:
