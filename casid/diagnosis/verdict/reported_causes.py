@@ -27,6 +27,7 @@ from casid.diagnosis.verdict.wrong_units import said_of_gain
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
+from casid.model.effects.clock_effects import with_duration
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import ACTS_LATE, ADVANCE, RATE, place_words
 from casid.model.effects.places.places import place_named
@@ -110,7 +111,8 @@ def _adopted(
     found: Findings, adopted: Adopted, estimate: Estimate, columns: Mapping[str, ColumnSpec]
 ) -> Cause:
     """An effect of the catalogue, without its share."""
-    effect = adopted.candidate.effect
+    Ts = min(d.Ts for d in adopted.candidate.fit.criterion.data)
+    effect = with_duration(adopted.candidate.effect, Ts)
     named = {a.candidate.effect.key for a in found.adopted}  # beside it, and not in its place
     alternatives = tuple(
         _alternative(adopted, r) for r in adopted.rivals if r.candidate.effect.key not in named

@@ -20,6 +20,7 @@ from casid.model.effects.names import (
     BESIDE_ITS_ZERO,
     BY_ANOTHER_GAIN,
     CLAMP,
+    FOR_ONE_SAMPLE,
     GAIN_OF_INPUT,
     GROWS,
     OPPOSES,
@@ -38,7 +39,7 @@ from casid.model.effects.names import (
 from casid.model.effects.parameter_effects import is_scheduled_by_power
 from casid.model.identifiers import made_identifier
 from casid.model.model import Model
-from casid.model.quantities import quantity_text, quantity_texts, while_text
+from casid.model.quantities import instant_text, quantity_text, quantity_texts, while_text
 
 _SAYS = {
     "quadratic_damping": "damping that grows with the rate squared acts in {place}",
@@ -226,8 +227,12 @@ def says(effect: Effect, column: str = "") -> str:
         on = f"in the {effect.shape} balance" if effect.shape else "on the system"
         return effect.description or says_kind(effect.kind, f"{effect.where}{of}", on=on)
     if effect.end is not None:
-        when = while_text(effect.constants["time"], effect.constants["end"])
-        return f"{effect.description}, from {when}"
+        start, stop = effect.constants["time"], effect.constants["end"]
+        if effect.description.endswith(FOR_ONE_SAMPLE):
+            lasts = quantity_text(stop - start, "s")
+            how = f": an impulse of that times {lasts}" if effect.kind == "offset" else ""
+            return f"{effect.description}, at {instant_text(start, stop - start)}{how}"
+        return f"{effect.description}, from {while_text(start, stop)}"
     if effect.kind in _STEADY and (text := _says_constant(effect)):
         return text
     if effect.kind == "parameter_drift" and "stop" in effect.constants:

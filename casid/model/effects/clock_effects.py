@@ -16,6 +16,7 @@ from casid.model.effects.effect import Effect, known_while_null
 from casid.model.effects.names import (
     DURING_THE_RECORD,
     FOR_A_WHILE,
+    FOR_ONE_SAMPLE,
     GAIN_OF_INPUT,
     GROWS_STEADILY,
     SETS_IN,
@@ -118,6 +119,14 @@ def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
         description=f"{what} that acts for an instant",
         constants={"time": time, "duration": Ts},
     )
+
+
+def with_duration(effect: Effect, Ts: float) -> Effect:
+    """The effect, whose description says so where it is over again after one sample of Ts [s]."""
+    if effect.end is None or round((effect.end - effect.constants["time"]) / Ts) > 1:
+        return effect
+    says = effect.description.removesuffix(FOR_A_WHILE) + FOR_ONE_SAMPLE
+    return replace(effect, description=says)
 
 
 def bias_step(model: Model, channel: str, time: float, end: float | None = None) -> Effect:

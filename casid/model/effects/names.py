@@ -45,6 +45,9 @@ TOGETHER = " and "
 FOR_A_WHILE = "for a while"
 """How the descriptions end of changes that are over before the record is."""
 
+FOR_ONE_SAMPLE = "for one sample"
+"""How they end where the change is over a sample later."""
+
 DURING_THE_RECORD = "during the record"
 """How the descriptions end of changes of a gain that stay."""
 
@@ -210,8 +213,9 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
         source=source or "the state",
         quantity=constant_quantity(description),
     )
-    if description.endswith(FOR_A_WHILE):
-        return f"{_FOR_A_WHILE.get(kind, words).format(where=at)} {FOR_A_WHILE}"
+    for how_long in (FOR_A_WHILE, FOR_ONE_SAMPLE):
+        if description.endswith(how_long):
+            return f"{_FOR_A_WHILE.get(kind, words).format(where=at)} {how_long}"
     if kind == "sensor_scale" and (variant or description.endswith(DURING_THE_RECORD)):
         return _CHANGE_OF_GAIN.format(where=at)
     courses = [course for says, course in _COURSES.get(kind, {}).items() if says in description]

@@ -307,8 +307,9 @@ class RectifiedSensors:
 
     below_zero: float = _is(
         0.1,
-        "of its largest reading, how far the noise of a channel of sizes may reach below zero, and "
-        "the least that a simulation of either sign has on both sides",
+        "of its largest reading, how far the noise of a channel of sizes may reach below zero, how "
+        "near its least reading is to zero, and the least that a simulation of either sign has on "
+        "both sides",
         "tests/diagnosis/evidence/recording_faults/test_rectified_channels.py",
     )
 

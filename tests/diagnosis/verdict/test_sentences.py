@@ -31,7 +31,7 @@ from casid.diagnosis.verdict.sentences import (
 from casid.estimation.estimate import Estimated
 from casid.model.effects.balances.balance_effects import coulomb_friction, offset, quadratic_damping
 from casid.model.effects.channels.channel_effects import hold, sensor_bias
-from casid.model.effects.clock_effects import bias_drift, offset_step
+from casid.model.effects.clock_effects import bias_drift, offset_step, with_duration
 from casid.model.effects.names import effect_words, law_of
 from casid.model.effects.parameter_effects import parameter_drift
 from casid.model.quantities import p_statement
@@ -122,6 +122,12 @@ def test_a_constant_is_called_by_what_its_balance_is_of(unit, rate, what, symbol
     over = offset_step(model, "balance", 3.0, 5.0)
     words = effect_words("offset", "balance", description=over.description)
     assert words == f"constant {what} in the balance balance for a while"
+    assert with_duration(over, 1.0) is over
+    jolt = with_duration(offset_step(model, "balance", 3.0, 3.02), 0.02)
+    words = effect_words("offset", "balance", description=jolt.description)
+    assert words == f"constant {what} in the balance balance for one sample"
+    at = f"a constant {what} acts in the balance balance for one sample, at 3.00 s"
+    assert says(jolt) == f"{at}: an impulse of that times 0.02 s"
 
 
 @pytest.mark.parametrize(

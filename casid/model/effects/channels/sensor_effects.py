@@ -35,8 +35,11 @@ def rectified(model: Model, channel: str) -> Effect:
 
 
 def shows_sizes(low: float, high: float) -> bool:
-    """True of readings from `low` to `high` that may be absolute values, but for their noise."""
-    return high > 0.0 and low >= -RECTIFIED.below_zero * high
+    """True of readings from `low` to `high` that may be absolute values, but for their noise.
+
+    The size of what changes its sign comes near zero: a level that stays above it is no size.
+    """
+    return high > 0.0 and abs(low) <= RECTIFIED.below_zero * high
 
 
 def lever_arm(model: Model, channel: str, rate: str) -> Effect:

@@ -83,6 +83,7 @@ def test_noise_may_take_a_size_below_zero_and_a_size_has_none_of_its_own() -> No
 
     assert "rectified" in kinds(model, -2.0)
     assert "rectified" not in kinds(model, -50.0)
+    assert "rectified" not in kinds(model, 50.0)  # the size of what changes its sign comes to zero
     assert "rectified" not in kinds(model.extend(rectified(model, "w")), -2.0)
 
 
