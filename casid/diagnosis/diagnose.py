@@ -27,6 +27,7 @@ from casid.diagnosis.verdict.ended_changes import may_be_over
 from casid.diagnosis.verdict.error_bars import without_made_up
 from casid.diagnosis.verdict.judgement import Judgement, errs_in_held_out_alone, judge, notes_on
 from casid.diagnosis.verdict.not_accepted import refusal_notes
+from casid.diagnosis.verdict.resting_held_out import RESTS, refused_at_rest
 from casid.diagnosis.verdict.sentences import noise_text
 from casid.errors import OutOfTimeError
 from casid.estimation.estimate import Origin
@@ -254,7 +255,8 @@ def _judged_or_whole(
 ) -> tuple[Findings, Judgement, list[str]]:
     """Findings with their verdict; those of whole records where what was held out alone errs.
 
-    Or where it refuses a change that explains all that was fitted, and may be over there.
+    Or where it refuses a change that explains all that was fitted, and may be over there, or where
+    it refuses effects although it rests.
 
     These count where their causes are more, or other ones that leave noise of all of it: the first
     ones fit their part and fail in the rest. A note says then that nothing is held out. The level
@@ -263,7 +265,9 @@ def _judged_or_whole(
     judged = _judged(problem, found, settings)
     if split.apart:
         return found, judged, []
-    if not (errs_in_held_out_alone(found, judged) or may_be_over(found, settings.fit)):
+    rests = refused_at_rest(found)
+    differs = rests or errs_in_held_out_alone(found, judged) or may_be_over(found, settings.fit)
+    if not differs:
         return found, judged, []
     settings.progress("diagnose the whole record: what was held out differs from what was fitted")
     try:
@@ -275,7 +279,9 @@ def _judged_or_whole(
     if not _explains_more(of_whole, judged):
         return found, judged, []
     note = (
-        f"the model that fits the first {100 * float(np.mean(~split.held[0])):.0f} % of each "
+        RESTS
+        if rests
+        else f"the model that fits the first {100 * float(np.mean(~split.held[0])):.0f} % of each "
         "record fails in what follows: the causes are those of the whole record, and no part is "
         "left to confirm them"
     )
