@@ -625,13 +625,6 @@ class Comparison:
         POWER_STUDY,
         'Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "strong"',
     )
-    very_strong: float = _is(
-        10.0,
-        "units of BIC that reject an effect with a name against a function without one, which one "
-        "record in twenty prefers by chance",
-        "tests/diagnosis/search/comparison/test_alternatives.py",
-        'Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong"',
-    )
     relative_gain: float = _is(
         0.3, "share of the best gain below which a candidate cannot win", POWER_STUDY
     )
@@ -971,6 +964,13 @@ class Rounds:
         2,
         "candidates beside which a second is sought where none alone lowers the held-out error",
         f"{TESTS}/search/adoption/test_refinement.py",
+    )
+    very_strong: float = _is(
+        10.0,
+        "units of BIC that reject an effect with a name against a function without one, which one "
+        "record in twenty prefers by chance",
+        "tests/diagnosis/search/comparison/test_alternatives.py",
+        'Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "very strong"',
     )
     lean: float = _is(
         0.1,

@@ -23,7 +23,7 @@ from casid.diagnosis.evidence.whitening.fit_points import use_samples_of
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, Rival, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
-from casid.diagnosis.thresholds import COMPARISON, SUFFICIENCY
+from casid.diagnosis.thresholds import COMPARISON, ROUNDS, SUFFICIENCY
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.fit_statistics import rms
 from casid.model.effects.effect import HYSTERESIS_SHAPE
@@ -261,7 +261,7 @@ def rivals_of(
         if c.merit > best.merit and is_worse and best.effect.kind != "extra_input":
             continue  # better only by more noise of the inputs than there is
         is_plainer = best.effect.is_unnamed and not c.effect.is_unnamed
-        least = COMPARISON.very_strong if is_plainer else COMPARISON.strong
+        least = ROUNDS.very_strong if is_plainer else COMPARISON.strong
         if c.merit > best.merit - least or is_open:
             out.append(Rival(c, max(p, TINY)))
     same = COMPARISON.same
