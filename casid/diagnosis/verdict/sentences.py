@@ -28,6 +28,7 @@ from casid.model.effects.names import (
     RADIATION,
     RATE,
     RATE_LIMIT,
+    RECORDED_LATE,
     TOGETHER,
     constant_quantity,
     effect_words,
@@ -182,10 +183,14 @@ def says_kind(
     )
 
 
+_OF_SEVERAL = {RECORDED_LATE: "are recorded later than they act, by one time"}
+
+
 def _inputs_do(where: str, does: str) -> str:
     """An input, or several with commas between them, and what they do: "the inputs u, v act"."""
     if ", " in where:
-        return f"the inputs {where} {does.replace('acts', 'act', 1)}"
+        does = _OF_SEVERAL.get(does, does.replace("acts", "act", 1))
+        return f"the inputs {where} {does}"
     return f"the input {where} {does}"
 
 

@@ -48,13 +48,12 @@ from casid.model.effects.channels.actuator_effects import actuator_effects_of
 from casid.model.effects.channels.channel_effects import (
     channel_effects_of,
     dead_times_of,
+    delays_of_records,
     saturation,
     sensor_bias,
-    time_delay,
 )
 from casid.model.effects.channels.digital_filters import digital_filters_of
 from casid.model.effects.channels.laws_of_outputs import bends_of
-from casid.model.effects.channels.recorded_commands import is_moved
 from casid.model.effects.channels.sensor_effects import sensor_effects_of
 from casid.model.effects.clock_effects import clock_effects_of
 from casid.model.effects.effect import Effect, Motion, Sizes
@@ -120,8 +119,7 @@ def catalogue(
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         effects.append(sensor_bias(model, channel))
-        if not is_moved(model, channel):
-            effects.append(time_delay(model, channel, sizes.longest_delay))
+    effects += delays_of_records(model, sizes)
     effects += dead_times_of(model, sizes)
     effects += further_places_of_inputs(model, sizes)
     effects += channel_effects_of(model, sizes, recorded)

@@ -67,38 +67,72 @@ def is_command(model: Model, channel: str) -> bool:
 
 
 @names_wrong_types(ModelError)
-def time_delay(model: Model, channel: str, longest: float) -> Effect:
+def time_delay(model: Model, channel: str | Sequence[str], longest: float) -> Effect:
     """A channel that arrives late by a constant time, at most `longest` seconds.
 
     Parameters
     ----------
     channel : an output of `model`, whose simulation is delayed; a measured input, which is then
-        moved ahead; or a known one, which acts late (`dead_time`).
+        moved ahead, or several that one instrument records late by one time; or a known one, which
+        acts late (`dead_time`).
     longest : upper bound of the delay [s].
+
+    Raises
+    ------
+    ModelError
+        If one of several channels is no measured input.
     """
+    if not isinstance(channel, str):
+        return _delay_of_records(model, channel, longest)
     if is_command(model, channel):
         return dead_time(model, channel, longest)
-    p = Parameter(f"delay_{channel}", "s", 0.0, lower=0.0, upper=longest)
     if channel in model.outputs:
+        p = Parameter(f"delay_{channel}", "s", 0.0, lower=0.0, upper=longest)
 
         def apply(new: Model, names: Sequence[str]) -> None:
             new.stages = (*new.stages, Stage("delay", channel, names[0]))
 
         return Effect("time_delay", channel, (p,), apply, sided="positive", limit=longest)
 
-    def apply_input(new: Model, names: Sequence[str]) -> None:
-        carry(new, Stage("delay_input", channel, names[0]))
+    return _delay_of_records(model, [channel], longest)
+
+
+def _delay_of_records(model: Model, channels: Sequence[str], longest: float) -> Effect:
+    """Measured inputs that are recorded late by one time."""
+    for name in channels:
+        if name not in model.inputs or model.inputs[name].kind != "measured":
+            raise ModelError(
+                f"{model.name}: {name} is no measured input; request the delay of an output alone, "
+                "and dead_time of commands that act late together"
+            )
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        for name in channels:
+            carry(new, Stage("delay_input", name, names[0]))
 
     return Effect(
         "time_delay",
-        channel,
-        (p,),
-        apply_input,
+        ", ".join(channels),
+        (Parameter(f"delay_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest),),
+        apply,
         sided="positive",
         limit=longest,
         priority=1,
         description=RECORDED_LATE,
     )
+
+
+def delays_of_records(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Channels that are recorded late, each that is not moved in time yet, and all inputs at once.
+
+    Of one instrument's record, of waves and their rate say, each alone would be late by a time of
+    its own.
+    """
+    measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
+    free = [n for n in measured if not is_moved(model, n)]
+    yield from (time_delay(model, n, sizes.longest_delay) for n in (*model.outputs, *free))
+    if len(free) > 1:
+        yield time_delay(model, free, sizes.longest_delay)
 
 
 @names_wrong_types(ModelError)
