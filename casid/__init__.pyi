@@ -78,13 +78,8 @@ from .linear.sampled.discretisation_bias import bias_table
 from .model.clock_signals import Always, RampOver, StepAt, TimeSince
 from .model.declarations import Parameter
 from .model.effects.channels.actuator_effects import actuator_lag, input_backlash, rate_limit
-from .model.effects.channels.channel_effects import (
-    dead_time,
-    hold,
-    saturation,
-    sensor_lag,
-    time_delay,
-)
+from .model.effects.channels.channel_effects import hold, saturation, sensor_lag
+from .model.effects.channels.delays import dead_time, time_delay
 from .model.effects.channels.digital_filters import digital_filter
 from .model.effects.effect import Effect
 from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect

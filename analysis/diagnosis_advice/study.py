@@ -49,7 +49,8 @@ from casid.model.effects.balances.balance_effects import (
     offset,
     quadratic_damping,
 )
-from casid.model.effects.channels.channel_effects import sensor_bias, time_delay
+from casid.model.effects.channels.channel_effects import sensor_bias
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.effect import Effect, Spread
 from casid.model.effects.parameter_effects import parameter_jump, scheduled_parameter
 from problems import pendulum

@@ -14,12 +14,8 @@ from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.search.candidates import name_of
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.estimation.estimate import Estimated
-from casid.model.effects.channels.channel_effects import (
-    dead_time,
-    sensor_bias,
-    sensor_lag,
-    time_delay,
-)
+from casid.model.effects.channels.channel_effects import sensor_bias, sensor_lag
+from casid.model.effects.channels.delays import dead_time, time_delay
 from casid.model.effects.names import effect_words
 from tests.support.driven_oscillator import TS, moved_late
 

@@ -11,7 +11,8 @@ from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.equation_error import equation_error
 from casid.estimation.measured_motion import Butterworth
 from casid.model.effects.balances.balance_effects import coulomb_friction, offset, quadratic_damping
-from casid.model.effects.channels.channel_effects import hold, time_delay
+from casid.model.effects.channels.channel_effects import hold
+from casid.model.effects.channels.delays import time_delay
 from casid.model.model import Model
 from problems import emps, pendulum, roll_decay
 from tests.support.shared import shared

@@ -18,7 +18,7 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.model.effects.channels.actuator_effects import actuator_lag
-from casid.model.effects.channels.channel_effects import dead_time, time_delay
+from casid.model.effects.channels.delays import dead_time, time_delay
 from tests.export.test_c_code import compiled, needs_compiler
 from tests.export.test_delayed_outputs import stepped_in_c
 from tests.export.test_fmu import unit

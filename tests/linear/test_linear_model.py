@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from casid.errors import ModelError
 from casid.linear.linear_model import LinearModel, adjugate_polynomials, linearise
 from casid.model.effects.balances.balance_effects import coulomb_friction, offset, quadratic_damping
-from casid.model.effects.channels.channel_effects import sensor_bias, time_delay
+from casid.model.effects.channels.channel_effects import sensor_bias
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.parameter_effects import parameter_jump
 from casid.model.model import Model
 from problems.pendulum import direct_model

@@ -15,7 +15,7 @@ import pytest
 import casid
 from casid.model.clock_signals import StepAt
 from casid.model.declarations import Input
-from casid.model.effects.channels.channel_effects import time_delay
+from casid.model.effects.channels.delays import time_delay
 from casid.saving.archive import VERSION
 from casid.saving.plain_values import CHANGED, MOVED, class_at
 from problems import pendulum

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import casid
-from casid.model.effects.channels.channel_effects import time_delay
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.parameter_effects import parameter_jump
 from casid.saving.archive import VERSION
 from casid.saving.plain_values import Encoder

@@ -19,7 +19,7 @@ from casid.model.effects.balances.balance_effects import (
     offset,
     quadratic_damping,
 )
-from casid.model.effects.channels.channel_effects import time_delay
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
 from problems.emps import problem as emps

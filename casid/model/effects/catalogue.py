@@ -45,13 +45,8 @@ from casid.model.effects.balances.unnamed_effects import (
     vanishes_with,
 )
 from casid.model.effects.channels.actuator_effects import actuator_effects_of
-from casid.model.effects.channels.channel_effects import (
-    channel_effects_of,
-    dead_times_of,
-    delays_of_records,
-    saturation,
-    sensor_bias,
-)
+from casid.model.effects.channels.channel_effects import channel_effects_of, saturation, sensor_bias
+from casid.model.effects.channels.delays import dead_times_of, delays_of_records
 from casid.model.effects.channels.digital_filters import digital_filters_of
 from casid.model.effects.channels.laws_of_outputs import bends_of
 from casid.model.effects.channels.sensor_effects import sensor_effects_of

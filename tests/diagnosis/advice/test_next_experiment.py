@@ -30,7 +30,7 @@ from casid.model.effects.balances.balance_effects import (
     cubic_stiffness,
     quadratic_damping,
 )
-from casid.model.effects.channels.channel_effects import time_delay
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.effect import Spread
 from casid.model.effects.names import place_words
 from casid.model.effects.parameter_effects import parameter_jump, scheduled_parameter

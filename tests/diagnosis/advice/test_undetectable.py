@@ -27,7 +27,8 @@ from casid.estimation.estimate import Estimated
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.declarations import Parameter
 from casid.model.effects.balances.balance_effects import extra_input, offset, quadratic_damping
-from casid.model.effects.channels.channel_effects import sensor_bias, sensor_scale, time_delay
+from casid.model.effects.channels.channel_effects import sensor_bias, sensor_scale
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.channels.sensor_effects import rectified
 from casid.model.effects.effect import Effect
 from casid.model.model import Model

@@ -14,7 +14,7 @@ from casid.diagnosis.evidence.scores.score_tests import ScoreTable, score_test
 from casid.diagnosis.thresholds import SCORES
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.channels.channel_effects import time_delay
+from casid.model.effects.channels.delays import time_delay
 
 TS = 0.02  # s
 SAMPLES = 8  # time constant of what drives the system, in samples

@@ -15,7 +15,8 @@ from casid.diagnosis.evidence.residual.residual_tests import NOISE, residual_tes
 from casid.diagnosis.evidence.scores.score_tests import score_test
 from casid.estimation.holdout import split_records
 from casid.model.effects.balances.balance_effects import cubic_stiffness, quadratic_damping
-from casid.model.effects.channels.channel_effects import sensor_lag, time_delay
+from casid.model.effects.channels.channel_effects import sensor_lag
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.effect import Effect
 from tests.support.hidden_forces import FORCES, model, record, weighted
 

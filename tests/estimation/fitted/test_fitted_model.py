@@ -15,7 +15,8 @@ from casid.model.clock_signals import StepAt
 from casid.model.effects.balances.balance_effects import quadratic_damping
 from casid.model.effects.balances.periodic import periodic_disturbance
 from casid.model.effects.channels.actuator_effects import actuator_lag
-from casid.model.effects.channels.channel_effects import dead_time, hold, sensor_lag, time_delay
+from casid.model.effects.channels.channel_effects import hold, sensor_lag
+from casid.model.effects.channels.delays import dead_time, time_delay
 from casid.model.effects.effect import Motion
 from casid.model.effects.parameter_effects import parameter_jump
 from casid.model.effects.state_schedules import state_scheduled_parameter

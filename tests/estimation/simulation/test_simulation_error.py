@@ -15,7 +15,8 @@ from casid.estimation.simulation.channels.sensor_dynamics import delay_columns
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.channels.channel_effects import saturation, sensor_lag, time_delay
+from casid.model.effects.channels.channel_effects import saturation, sensor_lag
+from casid.model.effects.channels.delays import time_delay
 
 TRUE = {"m": 2.0, "d": 1.5, "k": 50.0}
 TS = 0.02

@@ -16,13 +16,8 @@ from casid.identifiability.equations.model_system import left_out, system_of, tr
 from casid.identifiability.equations.system import System
 from casid.model.declarations import Input
 from casid.model.effects.channels.actuator_effects import actuator_lag
-from casid.model.effects.channels.channel_effects import (
-    hold,
-    saturation,
-    sensor_bias,
-    sensor_lag,
-    time_delay,
-)
+from casid.model.effects.channels.channel_effects import hold, saturation, sensor_bias, sensor_lag
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.parameter_effects import parameter_jump
 from problems import emps, pendulum, pendulum_rig, roll_decay
 

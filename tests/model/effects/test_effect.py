@@ -21,7 +21,8 @@ from casid.model.effects.balances.balance_effects import (
 )
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channels.actuator_effects import actuator_lag
-from casid.model.effects.channels.channel_effects import saturation, sensor_bias, time_delay
+from casid.model.effects.channels.channel_effects import saturation, sensor_bias
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.effect import Sizes, Spread, extend_all
 from casid.model.effects.parameter_effects import jump_times, parameter_jump, scheduled_parameter
 from casid.model.effects.search_ranges import PARAMETER_JUMPS

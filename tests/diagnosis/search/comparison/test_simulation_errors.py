@@ -27,7 +27,7 @@ from casid.diagnosis.thresholds import FORESIGHT, GROWTH, ROUNDS
 from casid.estimation.holdout import Split, degrees_of_freedom, split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.channels.channel_effects import time_delay
+from casid.model.effects.channels.delays import time_delay
 from problems import roll_decay
 
 N = 400

@@ -11,7 +11,7 @@ import pytest
 import casid
 from casid.diagnosis.search.refits.dead_times import best_delay
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.channels.channel_effects import dead_time
+from casid.model.effects.channels.delays import dead_time
 
 
 def test_delays_are_tried_from_the_fit_where_the_declared_starts_diverge():

@@ -22,12 +22,8 @@ from casid.diagnosis.search.rounds import Search, shortlist
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.channels.actuator_effects import actuator_lag
-from casid.model.effects.channels.channel_effects import (
-    dead_time,
-    sensor_bias,
-    sensor_lag,
-    time_delay,
-)
+from casid.model.effects.channels.channel_effects import sensor_bias, sensor_lag
+from casid.model.effects.channels.delays import dead_time, time_delay
 from casid.model.effects.effect import LATE, Effect
 
 LAG = 40.0  # s

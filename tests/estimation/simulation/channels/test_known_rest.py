@@ -9,7 +9,7 @@ import casid
 from casid.estimation.simulation.channels.known_rest import known_rest
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.channels.channel_effects import dead_time
+from casid.model.effects.channels.delays import dead_time
 
 
 def infusion() -> casid.Model:

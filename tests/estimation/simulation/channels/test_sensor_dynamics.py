@@ -13,7 +13,8 @@ from scipy.linalg import expm
 import casid
 from casid.estimation.simulation.known_simulation import KnownSimulation
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.channels.channel_effects import sensor_lag, time_delay
+from casid.model.effects.channels.channel_effects import sensor_lag
+from casid.model.effects.channels.delays import time_delay
 
 N, TS, RATE = 300, 0.1, 2.0
 U = np.repeat(np.random.default_rng(4).uniform(-1, 1, N // 3), 3)

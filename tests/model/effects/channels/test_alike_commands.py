@@ -11,7 +11,7 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channels.actuator_effects import actuator_lag
 from casid.model.effects.channels.alike_commands import alike_commands
-from casid.model.effects.channels.channel_effects import dead_time
+from casid.model.effects.channels.delays import dead_time
 from casid.model.effects.effect import Sizes
 
 SIZES = Sizes({"w": 1.0, "q": 1.0}, {}, (0.0, 10.0), 0.1)

@@ -19,8 +19,8 @@ from casid.model.effects.channels.channel_effects import (
     hold,
     sensor_lag,
     sensor_scale,
-    time_delay,
 )
+from casid.model.effects.channels.delays import time_delay
 from casid.model.effects.effect import Sizes
 from problems import pendulum
 from tests.support import truth

@@ -14,7 +14,8 @@ from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channels.actuator_effects import actuator_lag
-from casid.model.effects.channels.channel_effects import dead_time, hold, sensor_lag, time_delay
+from casid.model.effects.channels.channel_effects import hold, sensor_lag
+from casid.model.effects.channels.delays import dead_time, time_delay
 from casid.model.effects.effect import Sizes
 from problems import pendulum
 from tests.support.driven_oscillator import TS, D, K, M, at, moved_late

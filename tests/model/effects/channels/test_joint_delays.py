@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.model.effects.channels.channel_effects import delays_of_records
+from casid.model.effects.channels.delays import delays_of_records
 from casid.model.effects.effect import Sizes
 
 TS, N, LATE = 0.05, 1200, 4  # s, samples, samples
