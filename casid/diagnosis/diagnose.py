@@ -265,9 +265,9 @@ def _judged_or_whole(
     judged = _judged(problem, found, settings)
     if split.apart:
         return found, judged, []
-    rests = refused_at_rest(found)
-    differs = rests or errs_in_held_out_alone(found, judged) or may_be_over(found, settings.fit)
-    if not differs:
+    differs = errs_in_held_out_alone(found, judged) or may_be_over(found, settings.fit)
+    rests = not differs and refused_at_rest(found)
+    if not (differs or rests):
         return found, judged, []
     settings.progress("diagnose the whole record: what was held out differs from what was fitted")
     try:
