@@ -249,11 +249,10 @@ def bounds_met(problem: Problem, fit: Fit) -> dict[str, str]:
         p = problem.model.parameters.get(v.source)
         for side in ("lower", "upper"):
             if p is not None and v.name in getattr(fit.solution, f"at_{side}"):
-                end, unit = (
-                    problem.model.shown(p.name, getattr(p, side)),
-                    problem.model.unit_of(p.name),
-                )
-                met[v.name] = f"{v.name} at its {side} bound ({end:g} {unit})"
+                end = problem.model.shown(p.name, getattr(p, side))
+                unit = problem.model.unit_of(p.name)
+                size = f"{end:g}" if unit == "1" else f"{end:g} {unit}"
+                met[v.name] = f"{v.name} at its {side} bound ({size})"
     return met
 
 

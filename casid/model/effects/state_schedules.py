@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -28,9 +29,11 @@ def state_scheduled_parameter(
     is p + s (|x| - m), and of a p that is no less than zero a share is left, so that an inertia
     never vanishes; with power 2 it is p (p - s m) / (p - s x^2), which is smooth where x is zero
     and keeps the sign of p however far it falls, or where it `is_straight` the parabola
-    p + s (x^2 - m), of which the same share is left.
+    p + s (x^2 - m), of which the same share is left. Where the store of x holds p x, its inertia
+    is the slope of that: iron that saturates bends the flux of a coil.
     """
     old = model.parameters[name]
+    stores = _stores_that_hold(model, name, state)
     unit = old.unit
     for _ in range(power):
         unit = unit_quotient(unit, model.symbol_units[state], 1)
@@ -49,6 +52,11 @@ def state_scheduled_parameter(
             # A parameter may be zero, in a load case say: it stays zero.
             moved = value * (value - s * m) / (value - s * x**2 + carrying_unit(1e-150))
         new.substitute_symbol(name, moved)
+        for store in stores:
+            b = new.balances[store]
+            slope = b.inertia + x * ca.jacobian(ca.SX(b.inertia), x)
+            least = SATURATIONS.left * model.balances[store].inertia
+            new.balances[store] = replace(b, inertia=ca.fmax(slope, least))
 
     # The slope at which p is zero, or near a pole, is p over minus these.
     span = (-size.mean, size.mean)
@@ -220,6 +228,21 @@ def _of_inertias(model: Model, symbol: Any) -> list[str]:
         if not is_mechanical(b.unit)
         and (any(ca.which_depends(ca.SX(b.inertia), symbol)) or _divides(b.total, symbol))
     ]
+
+
+def _stores_that_hold(model: Model, name: str, state: str) -> list[str]:
+    """Balances of a state x whose inertia is the parameter p, while p x stands elsewhere, too.
+
+    An inductance is the flux per current, and a motor's torque and voltages show that flux: where
+    it bends, the inertia of the current is its slope, and not the flux per current. Where p stands
+    in the inertia alone, it is the slope whatever it is called.
+    """
+    p, x = model.symbol(name), model.symbol(state)
+    stores = [b for b in model.balances.values() if b.rate == state and not is_mechanical(b.unit)]
+    stores = [b for b in stores if is_zero(ca.jacobian(ca.SX(b.inertia), p) * p - b.inertia)]
+    shown = ca.vertcat(*(b.total for b in model.balances.values()))
+    carries = any(ca.which_depends(ca.jacobian(shown, p), x))
+    return [b.name for b in stores] if carries else []
 
 
 def _of_gains(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:

@@ -300,6 +300,34 @@ def test_an_inertia_that_falls_straight_keeps_a_share_however_far_it_falls():
         assert float(rate(current, 1.0, p)) == pytest.approx(1.0 / inductance)
 
 
+@pytest.mark.parametrize("power", [1, 2])
+def test_what_a_coil_stores_is_the_flux_that_its_motor_shows_however_it_bends(power):
+    """The inertia of a current is the slope of the flux p(i) i that another axis induces from."""
+    m = casid.Model("two axes")
+    d, q = m.state("d", "A"), m.state("q", "A")
+    w, u = m.input("w", "rad/s", known=True), m.input("u", "V", known=True)
+    L = m.parameter("L", "H", start=0.1, lower=1e-3)
+    m.balance(d, "d axis", inertia=m.constant("L_d", 1.0, "H"), terms=[w * L * q])
+    m.balance(q, "q axis", inertia=L, terms=[u])
+    m.output("d", d, "A")
+    m.output("q", q, "A")
+    effect = state_scheduled_parameter(m, "L", "q", Motion(1.0, -2.0, 2.0, 1.0), power)
+    extended, (size,) = effect.extended(m)
+    e = extended.explicit()
+    rates = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    p = [{"L": 0.1, size: -0.02, "L_d": 1.0}[n] for n in e.parameters]
+
+    def of(current: float) -> tuple[float, float]:
+        """The flux, which speed 1 induces in the other axis, and the inertia at 1 V."""
+        flux, rate = np.ravel(rates([0.0, current], [1.0, 1.0], p))
+        return flux, 1.0 / rate
+
+    for current in (-1.5, 0.4, 1.2):
+        (high, _), (low, _) = of(current + 1e-6), of(current - 1e-6)
+        assert of(current)[1] == pytest.approx((high - low) / 2e-6, rel=1e-6)
+    assert of(1.5)[1] < 0.9 * of(1.5)[0] / 1.5  # less than the flux per current: it bends
+
+
 def heat_pump() -> casid.Problem:
     """A tank of 40 kJ/K that a heat pump of constant efficiency heats."""
     m = casid.Model("heat pump")
