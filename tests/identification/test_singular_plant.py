@@ -164,6 +164,18 @@ def test_many_undetermined_directions_are_named_in_a_few_sentences():
     assert "94 more directions" in said
 
 
+def test_every_window_behind_a_sensor_that_lags_has_samples_that_count():
+    """None of the first windows is left out for the past: nothing would determine their states."""
+    window, model = 36, ball().model
+    slow = model.extend(casid.sensor_lag(model, "gap", longest=60 * TS))
+    c = SimulationError(slow, [casid.Experiment(held()[0], window=window)])
+    used = c.data[0].used[:, 0]
+    assert not used[0]
+    assert all(np.mean(used[i : i + window]) >= 0.75 for i in range(0, used.size, window))
+    whole = SimulationError(slow, [casid.Experiment(held()[0])])
+    assert np.mean(whole.data[0].used) == 0.75
+
+
 @pytest.mark.slow
 def test_a_singular_plant_is_diagnosed_in_windows():
     found = casid.diagnose(ball(), held(3000)[0], advise=False)

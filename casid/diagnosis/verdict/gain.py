@@ -43,7 +43,10 @@ def rmse(
     for e in range(len(split.whole)):
         d, y, _ = whole_simulation(fit, split, e)
         _, best, _ = whole_simulation(reference, split, e)
-        counts = d.used & ~due_to_earlier_inputs(reference.criterion.model, d.u, d.Ts)
+        late = due_to_earlier_inputs(
+            reference.criterion.model, d.u, d.Ts, window=split.whole[e].window
+        )
+        counts = d.used & ~late
         for name, level in limits.items():
             i = outputs.index(name)
             counts[np.abs(best[:, i]) >= FUNCTIONS.at_limit * level, i] = False

@@ -80,8 +80,9 @@ def _restated(fit: Fit, model: Model, whiten: Whitener | None) -> SimulationErro
         substeps=base.substeps,
         start=fit.values,
     )
-    for d, own in zip(criterion.data, base.data, strict=True):
-        d.used[:] = own.used & ~due_to_earlier_inputs(model, d.u, d.Ts, without=("lag_input",))
+    for e, d, own in zip(base.experiments, criterion.data, base.data, strict=True):
+        late = due_to_earlier_inputs(model, d.u, d.Ts, window=e.window, without=("lag_input",))
+        d.used[:] = own.used & ~late
     return criterion
 
 

@@ -161,8 +161,8 @@ class SimulationError:
         self.spread = output_spread(self.data)
         self.weights = 1 / self.spread if weights is None else np.asarray(weights, float)
         self._as_read = [replace(d, used=d.used.copy()) for d in self.data]
-        for d in self.data:
-            d.used[due_to_earlier_inputs(model, d.u, d.Ts)] = False
+        for e, d in zip(experiments, self.data, strict=True):
+            d.used[due_to_earlier_inputs(model, d.u, d.Ts, window=e.window)] = False
         self._index: list[list[Array]] = []  # per experiment and segment: (nv,) variable or -1
         self._cuts: list[Array] = []
         self._sizes: dict[str, float] = {}  # of states where parts of records begin

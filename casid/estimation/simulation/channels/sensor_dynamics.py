@@ -40,11 +40,12 @@ for it.
 """
 
 MOST_OF_LAG = {"lag": 0.25, "filter": 0.25, "lag_input": 0.1}
-"""Share of a record that is left out for a lag at most.
+"""Share of a record, or of its first window, that is left out for a lag at most.
 
 What was before dies away, and a lag whose five time constants are longer would leave nothing to
-fit. All outputs show the lag of a command: no more is left out of all than for its dead time. Of a
-delay there is no remainder that is small: it is left out to its end.
+fit; a window of which nothing counts would begin in a state that nothing determines. All outputs
+show the lag of a command: no more is left out of all than for its dead time. Of a delay there is no
+remainder that is small: it is left out to its end.
 """
 
 STILL = 10
@@ -63,19 +64,22 @@ def begins_still(model: Model, stage: Stage, u: Array) -> bool:
     return bool(np.all(first == first[0]))
 
 
-def due_to_past(kind: str, longest: float, N: int) -> int:
+def due_to_past(kind: str, longest: float, N: int, window: int = 0) -> int:
     """How many first samples of a record of N are due to its past, of a stage with `MEMORY`.
 
     Parameters
     ----------
     longest : its parameter at most, in samples.
+    window : samples of each window that the record is simulated in, 0 without any.
     """
-    most = int(MOST_OF_LAG.get(kind, 1.0) * N)
+    most = N
+    if kind in MOST_OF_LAG:
+        most = int(MOST_OF_LAG[kind] * (min(window, N) if window else N))
     return int(min(np.ceil(MEMORY[kind] * longest) + 1, most))
 
 
 def due_to_earlier_inputs(
-    model: Model, u: Array, Ts: float, *, without: Collection[str] = ()
+    model: Model, u: Array, Ts: float, *, window: int = 0, without: Collection[str] = ()
 ) -> BoolArray:
     """(N, ny) the first samples of what is late or lags, due to inputs before these u (N, nu).
 
@@ -83,6 +87,7 @@ def due_to_earlier_inputs(
 
     Parameters
     ----------
+    window : as for `due_to_past`.
     without : kinds of stages that do not count.
     """
     out = np.zeros((len(u), len(model.outputs)), dtype=bool)
@@ -91,7 +96,8 @@ def due_to_earlier_inputs(
     for stage in stages:
         is_known = stage.channel in (rest.inputs if stage.is_of_input else rest.outputs)
         if not is_known and not begins_still(model, stage, u):
-            first = due_to_past(stage.kind, model.parameters[stage.parameter].upper / Ts, len(u))
+            longest = model.parameters[stage.parameter].upper / Ts
+            first = due_to_past(stage.kind, longest, len(u), window)
             columns = slice(None) if stage.is_of_input else [*model.outputs].index(stage.channel)
             out[:first, columns] = True
     return out
