@@ -27,6 +27,7 @@ from casid.diagnosis.search.selection import POWERS
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.diagnosis.thresholds import SHORTLIST
 from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.parameter_effects import is_scheduled_by_channel
 from casid.model.effects.state_schedules import is_scheduled_by_state
 
 
@@ -68,7 +69,8 @@ def seen_beside_disturbance(
     units, values = base.criterion.weights, best.fit.values
     fit = whole_fit(best.model, baseline.split, settings.refit, units, values)
     is_alone = leaves_noise(search, fit, settings)
-    if not is_alone and is_scheduled_by_state(best.effect):
+    has_other_laws = is_scheduled_by_state(best.effect) or is_scheduled_by_channel(best.effect)
+    if has_other_laws and not is_alone:
         # The law was chosen beside the disturbance, which is what the right one leaves none of.
         at = weighed_whole(search.weighing, fit, settings.refit)[1]
         refine = baseline_refinement(search, baseline, settings)
