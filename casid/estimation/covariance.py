@@ -98,25 +98,38 @@ def sandwich(
     Assumes residuals of zero mean and memory short against the record; see the module docstring.
     """
     require_finite("the derivatives of the criterion", hessian, scores)
-    n = len(hessian)
+    inverse, fitted = _inverse(hessian, free, constraint_jacobian)
+    lags = _lags(scores, free)
+    covariance = inverse @ long_run_covariance(scores, lags) @ inverse
+    # Fitted residuals are smaller than the errors: the usual degrees-of-freedom factor.
+    count = len(scores)
+    return covariance * (count / max(count - fitted, 1)), lags
+
+
+def _lags(scores: Array, free: Array) -> int:
+    """Lags of the Bartlett kernel by the scores (N, n) of what is free."""
+    return bartlett_lags(scores[:, np.flatnonzero(free)]) if np.any(free) else 0
+
+
+def _inverse(
+    hessian: Array, free: Array, constraint_jacobian: Array | None = None
+) -> tuple[Array, int]:
+    """H^-1 in the directions that are free and keep the constraints, (n, n), and their number."""
     index = np.flatnonzero(free)
-    basis = np.eye(n)[:, index]
+    basis = np.eye(len(hessian))[:, index]
     if constraint_jacobian is not None and constraint_jacobian.size:
         _, s, vt = np.linalg.svd(constraint_jacobian[:, index])
         rank = int(np.sum(s > 1e-10 * s.max(initial=0.0)))
         basis = basis @ vt[rank:].T
-    lags = bartlett_lags(scores[:, index]) if index.size else 0
-    meat = long_run_covariance(scores, lags)
-    reduced = basis.T @ hessian @ basis
-    inverse = scaled_inverse(reduced)
-    covariance = basis @ inverse @ (basis.T @ meat @ basis) @ inverse @ basis.T
-    # Fitted residuals are smaller than the errors: the usual degrees-of-freedom factor.
-    count, fitted = scores.shape[0], basis.shape[1]
-    return covariance * (count / max(count - fitted, 1)), lags
+    return basis @ scaled_inverse(basis.T @ hessian @ basis) @ basis.T, basis.shape[1]
 
 
 def robust_covariance(
-    residuals: Sequence[Array], jacobians: Sequence[Array], hessian: Array, free: Array
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    hessian: Array,
+    free: Array,
+    constraint_jacobian: Array | None = None,
 ) -> tuple[Array, int]:
     """Covariance of a least-squares estimate, (n, n), with (1), and the lags used.
 
@@ -124,18 +137,23 @@ def robust_covariance(
     ----------
     residuals, jacobians : (N, ny) and (N, ny, n) of each record, of unit weight; zero where no
         sample is.
-    hessian, free : as of `sandwich`.
+    hessian, free, constraint_jacobian : as of `sandwich`.
+
+    Raises
+    ------
+    SolveError
+        If one of the derivatives is not finite.
     """
-    index = np.flatnonzero(free)
-    scores = [np.einsum("ki,kin->kn", r, j) for r, j in zip(residuals, jacobians, strict=True)]
-    robust, lags = sandwich(hessian, np.concatenate(scores), free)
-    inverse = scaled_inverse(hessian[np.ix_(index, index)])
+    parts = [np.einsum("ki,kin->kn", r, j) for r, j in zip(residuals, jacobians, strict=True)]
+    scores = np.concatenate(parts)
+    require_finite("the derivatives of the criterion", hessian, scores)
+    inverse, fitted = _inverse(hessian, free, constraint_jacobian)
+    lags = _lags(scores, free)
     samples = sum(int(np.count_nonzero(np.any(j, axis=2))) for j in jacobians)
-    squares = sum(float(np.sum(r**2)) for r in residuals)
-    variance = squares / max(samples - len(index), 1)
-    taken = sum(taken_by_fit(j[:, :, index], inverse, lags) for j in jacobians)
-    robust[np.ix_(index, index)] += variance * (inverse @ taken @ inverse)
-    return robust, lags
+    variance = sum(float(np.sum(r**2)) for r in residuals) / max(samples - fitted, 1)
+    taken = sum(taken_by_fit(j, inverse, lags) for j in jacobians)
+    meat = long_run_covariance(scores, lags) + variance * taken
+    return np.asarray(inverse @ meat @ inverse), lags
 
 
 def taken_by_fit(jacobian: Array, inverse: Array, lags: int) -> Array:

@@ -48,23 +48,20 @@ def error_bars(found: Corrected) -> ErrorBars:
 def robust_bars(fit: Fit, assumes: str) -> ErrorBars:
     """The robust covariance of a minimum, with what the fit itself takes out of the residual.
 
-    That of a fit in segments or under constraints is without it, as `ErrorBars` has it by default.
-
     Parameters
     ----------
     assumes : with a place `{lags}` for its lags.
     """
-    criterion = fit.criterion
-    if criterion.segments > 1 or fit.solution.constraint_jacobian.size:
-        return ErrorBars(assumes)
+    criterion, at = fit.criterion, fit.solution
     residuals, jacobians = [], []
     for e, d in enumerate(criterion.data):
         r, j = criterion.columns(fit.x, e)
         there = slice(None) if criterion.whiten is not None else d.used.any(axis=1)
         residuals.append(r[there])
         jacobians.append(j[there])
-    found = robust_covariance(residuals, jacobians, fit.solution.hessian, fit.solution.is_free)
-    covariance, lags = found
+    covariance, lags = robust_covariance(
+        residuals, jacobians, at.hessian, at.is_free, at.constraint_jacobian
+    )
     return ErrorBars(assumes.format(lags=lags), covariance)
 
 
