@@ -117,16 +117,16 @@ class SourceSpectra:
 
         Parameters
         ----------
-        information : about phi; ratios have standard errors by it.
+        information : about phi; ratios have standard errors by it, else those they began with.
         """
         white, scales = self._output_sd**2, {n: sd**2 for n, sd in self._source_sd.items()}
         spectra = dict(self._spectra)
-        errors = np.zeros(len(phi))
+        errors = None
         if information is not None:
             size = np.sqrt(np.maximum(np.diag(information), TINY))
             inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
             errors = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
-        for value, error, entry in zip(phi.tolist(), errors.tolist(), self.entries, strict=True):
+        for k, (value, entry) in enumerate(zip(phi.tolist(), self.entries, strict=True)):
             name = entry.of
             if entry.kind == "output":
                 white[self.outputs.index(name)] = np.exp(value)
@@ -134,8 +134,10 @@ class SourceSpectra:
                 scales[name] = float(np.exp(value))
             elif entry.kind == "ratio":
                 parts = list(spectra[name].parts)
-                place = parts[entry.part].place
-                parts[entry.part] = Part(place, value * entry.size, error * entry.size)
+                place, error = parts[entry.part].place, parts[entry.part].error
+                if errors is not None:
+                    error = float(errors[k]) * entry.size
+                parts[entry.part] = Part(place, value * entry.size, error)
                 spectra[name] = replace(spectra[name], parts=tuple(parts))
             else:
                 spectra[name] = _with(spectra[name], entry.kind, float(np.exp(value)))

@@ -127,6 +127,16 @@ def test_a_force_that_was_found_nearby_keeps_its_places_and_has_its_ratio_anew()
     assert common(apart) is None
 
 
+def test_the_ratio_of_a_common_force_keeps_its_error_where_only_its_spectrum_is_sought():
+    rng = np.random.default_rng(1)
+    fit, noise = noise_of(0.1 * coloured(rng, 5 * N, TS / 5)[:, None] * [1.0, 0.6])
+    (name,) = noise.spectra
+    outputs, sizes = fit.criterion.outputs, (noise.output_sd, noise.source_sd)
+    of = SourceSpectra(outputs, *sizes, noise.spectra, ({}, {}))
+    _, _, spectra = of.read(of.start)
+    assert spectra[name].parts[1].error == noise.spectra[name].parts[1].error > 0.0
+
+
 def test_a_common_force_that_comes_to_nothing_in_its_search_is_none(
     monkeypatch: pytest.MonkeyPatch,
 ):
