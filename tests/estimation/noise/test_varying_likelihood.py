@@ -22,6 +22,7 @@ from casid.estimation.noise.varying_likelihood import (
 )
 from casid.estimation.noise.varying_response import with_varying_response
 from casid.estimation.noise.varying_steps import steps_along
+from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 from tests.support import cooled_jacket, drawn_tank
 from tests.support.drawn_tank import FLOW, OUTPUT
@@ -205,3 +206,34 @@ def jacket(seed: int) -> tuple[SimulationError, np.ndarray, NoiseModel]:
 def test_an_input_that_is_added_leaves_the_slopes_alone():
     criterion, *_ = at_the_truth(0)
     assert multiplied_inputs(criterion) == ("flow",)
+
+
+@pytest.mark.parametrize("missing", [[], [0], [700], [300, 1100]])
+def test_the_drift_of_a_free_cart_is_no_noise_of_its_sensor_whichever_samples_are_missing(missing):
+    """Metres of drift beside millimetres of noise; a lost sample leaves metres in every line.
+
+    m v' = c u + w - b u v, u the flow about the cart, in steps that are exact for both held.
+    """
+    m = casid.Model("cart")
+    p, v, u = m.state("p", "m"), m.state("v", "m/s"), m.input("u", "m/s", hold="zoh")
+    b = m.parameter("b", "kg/m", start=3.0, lower=0.1)
+    m.derivative(p, v)
+    m.balance(v, "push", inertia=100.0, terms=[20.0 * u, -b * u * v], unit="N")
+    m.output("position", p, "m")
+    rng = np.random.default_rng(5)
+    N, Ts, sd = 1500, 0.1, 0.004
+    flow = np.repeat(rng.uniform(0.2, 1.0, N // 30), 30)
+    x, course = np.zeros(2), np.zeros(N)
+    for k in range(N):
+        course[k] = x[0]
+        rate = 3.0 * flow[k] / 100.0
+        end, fade = (20.0 * flow[k] + 40.0 * rng.normal()) / (3.0 * flow[k]), np.exp(-rate * Ts)
+        left = (x[1] - end) * (1 - fade) / rate
+        x = np.array([x[0] + end * Ts + left, end + (x[1] - end) * fade])
+    channels = {"u": flow + 0.02 * rng.normal(size=N), "position": course + sd * rng.normal(size=N)}
+    lost = {"position": np.isin(np.arange(N), missing)} if missing else {}
+    record = casid.Record(channels, {"u": "m/s", "position": "m"}, Ts=Ts, missing=lost)
+    fit = fit_model(m, [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
+    noise = found_in(fit.criterion, fit.x)
+    assert fit.criterion.simulated(fit.x, 0).residual.std() > 500 * sd
+    assert noise.output_sd == pytest.approx([sd], rel=0.1)  # 1500 samples know it to 3 %
