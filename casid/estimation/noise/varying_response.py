@@ -87,7 +87,7 @@ def with_varying_response(
         if varying.spectra or not is_white(varying, criterion.data, left):
             refined = with_likeliest_noise(varying, steps, criterion, left)
             misfit = _misfit(refined, criterion, residuals, states)
-        if misfit < least:
+        if misfit < least - VARYING_RESPONSE.likelier:
             found, least, path = refined, misfit, steps
         if varying.misfit == by_average:
             break
