@@ -83,33 +83,46 @@ class _Search:
             return limit
         inner, outer = (middle, 0.0), (side * np.inf, np.inf)  # value and root
         held = middle + side * target * self.scaled.std_error(self.i)
+        kept = 0  # times that one end of the bracket stayed, positive of the outer one
         for _ in range(PROFILE_SEARCH.refits):
             held = side * min(side * held, side * limit)
             root = self.root(held)
             if abs(root - target) <= PROFILE_SEARCH.converged * target:
                 return held
             if root > target:
-                outer = (held, root)
+                outer, kept = (held, root), min(kept, 0) - 1
             elif held == limit:
                 return limit
             else:
-                inner = (held, root)
-            held = _next(middle, inner, outer, target)
+                inner, kept = (held, root), max(kept, 0) + 1
+            held = _next(middle, inner, outer, target, kept)
         least = PROFILE_SEARCH.nearest * self.scaled.std_error(self.i)
-        if inner[0] == middle or abs(outer[0] - middle) < least:
+        leaps = outer[1] - inner[1] > PROFILE_SEARCH.leap * target
+        if leaps and abs(outer[0] - middle) < least:
             return np.nan
         return outer[0] if np.isfinite(outer[1]) else side * np.inf
 
 
 def _next(
-    middle: float, inner: tuple[float, float], outer: tuple[float, float], target: float
+    middle: float, inner: tuple[float, float], outer: tuple[float, float], target: float, kept: int
 ) -> float:
-    """The next value to try: on the line through the roots, or outside by what they have grown."""
+    """The next value to try: on the line through the roots, or outside by what they have grown.
+
+    Of an end of the bracket that stays, the distance from the target counts by half each time
+    (Dowell and Jarratt, BIT 11 (1971) 168-174): a root that rises late comes no nearer otherwise.
+
+    Parameters
+    ----------
+    kept : times in a row that the outer end stayed, or as a negative number the inner one.
+    """
     way = inner[0] - middle
     if not np.isfinite(outer[0]):
         factor = target / inner[1] if inner[1] > 0 else PROFILE_SEARCH.growth
         return middle + way * float(np.clip(factor, 1 + 1e-3, PROFILE_SEARCH.growth))
     if not np.isfinite(outer[1]):
         return 0.5 * (inner[0] + outer[0])
-    share = (target - inner[1]) / (outer[1] - inner[1])
+    below, above = target - inner[1], outer[1] - target
+    below *= 0.5 ** max(-kept - 1, 0)
+    above *= 0.5 ** max(kept - 1, 0)
+    share = below / (below + above)
     return inner[0] + float(np.clip(share, 0.05, 0.95)) * (outer[0] - inner[0])

@@ -43,6 +43,12 @@ class ProfileSearch:
         "do there ended short of their minima",
         _PROFILE,
     )
+    leap: float = _is(
+        0.5,
+        "of the root of the rise at an end: more than that between the last two refits is a leap. "
+        "Of an unknown with hardly an upper limit the standard error says nothing of the lower one",
+        _PROFILE,
+    )
     farthest_of_root: float = _is(
         6.0,
         "standard errors from a root of equations, beyond which the bias of the inputs' noise is "
