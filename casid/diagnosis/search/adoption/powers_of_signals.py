@@ -118,10 +118,7 @@ def _along_a_parabola(refine: Refinement, found: Adoption, i: int) -> Adoption:
         )
         steps = (-side * change / (2 * reach**2), line.mean + side * reach)
         other = _by_the_better(refine, found, i, effect, steps, least=price)
-        if other is not found and not minus_log_likelihood(best.at) < minus_log_likelihood(
-            other.at
-        ):
-            best = other
+        best = min(best, other, key=lambda each: minus_log_likelihood(each.at))
     return best
 
 
