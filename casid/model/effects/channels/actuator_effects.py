@@ -12,6 +12,7 @@ from casid.model.declarations import Input, Parameter, Stage
 from casid.model.effects.channels.alike_commands import alike_commands
 from casid.model.effects.channels.recorded_commands import (
     as_channels,
+    carries,
     carry,
     commands_of,
     is_lagging,
@@ -53,12 +54,15 @@ def actuator_lag(model: Model, channel: str | Sequence[str], longest: float) -> 
         require_first(model, is_lagging(model, name), f"the command {name} acts through a lag")
     p = Parameter(f"tau_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest)
 
-    def apply(new: Model, names: Sequence[str]) -> None:
-        for name in channels:
-            carry(new, Stage("lag_input", name, names[0]))
-
-    where = ", ".join(channels)
-    return Effect("actuator_lag", where, (p,), apply, sided="positive", limit=longest, priority=1)
+    return Effect(
+        "actuator_lag",
+        ", ".join(channels),
+        (p,),
+        carries("lag_input", channels),
+        sided="positive",
+        limit=longest,
+        priority=1,
+    )
 
 
 def actuator_saturation(model: Model, channel: str, limit: float) -> Effect:

@@ -11,7 +11,7 @@ from casid.model.effects.channels.alike_commands import alike_commands
 from casid.model.effects.channels.channel_effects import is_command
 from casid.model.effects.channels.recorded_commands import (
     as_channels,
-    carry,
+    carries,
     commands_of,
     is_late,
     is_moved,
@@ -64,15 +64,11 @@ def _delay_of_records(model: Model, channels: Sequence[str], longest: float) -> 
                 "and dead_time of commands that act late together"
             )
 
-    def apply(new: Model, names: Sequence[str]) -> None:
-        for name in channels:
-            carry(new, Stage("delay_input", name, names[0]))
-
     return Effect(
         "time_delay",
         ", ".join(channels),
         (Parameter(f"delay_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest),),
-        apply,
+        carries("delay_input", channels),
         sided="positive",
         limit=longest,
         priority=1,
@@ -118,17 +114,13 @@ def dead_time(model: Model, channel: str | Sequence[str], longest: float) -> Eff
         require_first(model, is_late(model, name), f"the input {name} acts late")
     p = Parameter(f"dead_time_{'_'.join(channels)}", "s", 0.0, lower=0.0, upper=longest)
 
-    def apply(new: Model, names: Sequence[str]) -> None:
-        for name in channels:
-            carry(new, Stage("late_input", name, names[0]))
-
     are_commands = all(is_command(model, name) for name in channels)
     late = f"{ACTS_LATE}, by a dead time" if are_commands else LATER_THAN_RECORDED
     return Effect(
         "time_delay",
         ", ".join(channels),
         (p,),
-        apply,
+        carries("late_input", channels),
         sided="positive",
         limit=longest,
         priority=1,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from casid.errors import ModelError
-from casid.model.declarations import Input, Stage
+from casid.model.declarations import Input, Stage, StageKind
 from casid.model.effects.places.place import recorded_inputs
 from casid.model.model import Model
 from casid.model.units import unit_quotient
@@ -76,6 +76,16 @@ def is_moved(model: Model, channel: str) -> bool:
 
 def _has_stage(model: Model, channel: str, *kinds: str) -> bool:
     return any(s.kind in kinds and s.channel == channel for s in model.stages)
+
+
+def carries(kind: StageKind, channels: Sequence[str]) -> Callable[[Model, Sequence[str]], None]:
+    """The `apply` of an effect that sends input columns through stages with one parameter."""
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        for name in channels:
+            carry(new, Stage(kind, name, names[0]))
+
+    return apply
 
 
 def carry(model: Model, stage: Stage) -> None:
