@@ -12,7 +12,6 @@ from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.search.refusals import Refusal
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.cause import Cause
-from casid.estimation.covariance import sandwich
 from casid.estimation.errors_in_variables.error_bars import error_bars, robust_bars
 from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.estimate import Estimate
@@ -48,8 +47,7 @@ def bars_of(
     if not (roundings or shifts):
         return bars
     covariance, free = bars.covariance, fit.solution.is_free
-    if covariance is None:
-        covariance, _ = sandwich(fit.solution.hessian, fit.criterion.scores(fit.x), free)
+    assert covariance is not None  # of all that `error_bars` returns
     for moved in (*roundings, *shifts):
         added = free * np.array([moved.get(n, 0.0) for n in fit.criterion.names])
         covariance = covariance + np.outer(added, added)

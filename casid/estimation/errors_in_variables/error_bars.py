@@ -52,13 +52,8 @@ def robust_bars(fit: Fit, assumes: str) -> ErrorBars:
     ----------
     assumes : with a place `{lags}` for its lags.
     """
-    criterion, at = fit.criterion, fit.solution
-    residuals, jacobians = [], []
-    for e, d in enumerate(criterion.data):
-        r, j = criterion.columns(fit.x, e)
-        there = slice(None) if criterion.whiten is not None else d.used.any(axis=1)
-        residuals.append(r[there])
-        jacobians.append(j[there])
+    at = fit.solution
+    residuals, jacobians = zip(*fit.criterion.rows(fit.x), strict=True)
     covariance, lags = robust_covariance(
         residuals, jacobians, at.hessian, at.is_free, at.constraint_jacobian
     )

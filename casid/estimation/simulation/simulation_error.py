@@ -12,7 +12,7 @@ Gauss-Newton matrix; nothing in the NLP grows with the number of samples.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -487,14 +487,13 @@ class SimulationError:
         return np.concatenate(rows), np.vstack(jacs)
 
     def scores(self, x: Array) -> Array:
-        """(M, n) per-sample scores J_k' r_k, outputs summed, experiments stacked.
+        """(M, n) per-sample scores J_k' r_k of `rows`, outputs summed, experiments stacked."""
+        return np.concatenate([np.einsum("ki,kin->kn", r, j) for r, j in self.rows(x)])
 
-        Of the samples that there are, one after another: across gaps of zeros no correlation would
-        be seen. Whitened ones have all samples.
-        """
-        parts = []
+    def rows(self, x: Array) -> Iterator[tuple[Array, Array]]:
+        """`columns` of each experiment at the samples that there are; of a whitened one at all."""
+        # Across gaps of zeros no correlation of scores would be seen.
         for e, d in enumerate(self.data):
+            there = slice(None) if self.whiten is not None else d.used.any(axis=1)
             r, j = self.columns(x, e)
-            score = np.einsum("ki,kin->kn", r, j)
-            parts.append(score if self.whiten is not None else score[d.used.any(axis=1)])
-        return np.concatenate(parts)
+            yield r[there], j[there]
