@@ -74,7 +74,8 @@ class Memory:
     Attributes
     ----------
     tested : the last model whose residual was tested.
-    disturbed : fit -> the model under the disturbances that its residual shows.
+    shown : fit -> the same with the disturbances that its residual shows.
+    disturbed : fit -> the model fitted under them.
     tables : of a model and the causes that are in it -> the scores of all effects.
     refits : of a model without causes -> its shortlist as refitted, as large as the records each.
     references : recorded channels that are references of a control loop; None until sought.
@@ -82,6 +83,7 @@ class Memory:
     """
 
     tested: tuple[Weighted, ResidualTests] | None = None
+    shown: dict[Fit, Weighted] = field(default_factory=dict)
     disturbed: dict[Fit, Weighted] = field(default_factory=dict)
     tables: dict[tuple[Weighted, tuple[Candidate, ...]], ScoreTable] = field(default_factory=dict)
     refits: dict[Weighted, list[Candidate]] = field(default_factory=dict)
@@ -136,8 +138,8 @@ class Search:
         """The model of a fit under the disturbances that its residual shows; sought once a fit."""
         disturbed = self.memory.disturbed
         if fit not in disturbed:
-            weighing = self.weighing.with_disturbances()
-            disturbed[fit] = weighing.weigh(fit.criterion.model, fit, rounds=1)
+            weighing, shown = self.weighing.with_disturbances(), self.memory.shown.get(fit)
+            disturbed[fit] = weighing.weigh(fit.criterion.model, fit, rounds=1, shown=shown)
         return disturbed[fit]
 
     def table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:

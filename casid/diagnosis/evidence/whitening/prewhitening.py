@@ -70,13 +70,24 @@ class Weighing:
         """The weighing that takes all unexplained misfit for disturbances."""
         return replace(self, takes_disturbances=True)
 
-    def weigh(self, model: Model, fit: Fit, *, rounds: int = PREWHITENING.rounds) -> Weighted:
+    def weigh(
+        self,
+        model: Model,
+        fit: Fit,
+        *,
+        rounds: int = PREWHITENING.rounds,
+        shown: Weighted | None = None,
+    ) -> Weighted:
         """Estimate the noise at a fit and fit again under it.
 
         Where sensors and measured inputs leave much unexplained, misfit would pass for a
         disturbance and mask its own cause: the fit is then made under the sensors' noise alone.
+
+        Parameters
+        ----------
+        shown : the fit with the noise there (`estimated`), where that is known.
         """
-        found = self.estimated(fit)
+        found = shown or self.estimated(fit)
         exact = self._with_floors(found)
         return exact._weighed(model, found if exact is self else exact.estimated(fit), rounds)
 

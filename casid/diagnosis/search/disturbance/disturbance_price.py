@@ -63,10 +63,12 @@ def is_no_disturbance(search: Search, fit: Fit) -> bool:
     Its spectra are those that the residual shows there. To fit the model again under them, from
     several starts, takes ten times as long, and is of no use.
     """
-    if fit in search.memory.disturbed:
+    memory, of = search.memory, search.weighing.with_disturbances()
+    if fit in memory.disturbed:
         return False
-    of = search.weighing.with_disturbances()
-    here = of.estimated(fit)
+    if fit not in memory.shown:
+        memory.shown[fit] = of.estimated(fit)
+    here = memory.shown[fit]
     return depends_beyond_doubt(here, of.experiments, search.recorded, seed=of.seed)
 
 
