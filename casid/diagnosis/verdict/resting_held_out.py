@@ -38,8 +38,8 @@ def rests_in_held_out(found: Findings) -> bool:
     for e, is_held in zip(split.whole, split.held, strict=True):
         for i, name in enumerate(outputs):
             y = np.asarray(e.record[name], dtype=float)
-            for part, least in ((is_held, held), (~is_held, fitted)):
+            for part, power in ((is_held, held), (~is_held, fitted)):
                 if np.isfinite(y[part]).any():
-                    least[i] = max(least[i], float(np.nanvar(y[part])))
+                    power[i] = max(power[i], float(np.nanvar(y[part])))
     limit = 2 * noise**2
     return bool(np.all(held < limit) and np.any(fitted > limit))

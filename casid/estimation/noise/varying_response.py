@@ -91,8 +91,8 @@ def with_varying_response(
             found, least, path = refined, misfit, steps
         if varying.misfit == by_average:
             break
-    left = _less_states_of_windows(found, criterion, residuals, states)
     if seeks_spectra:
+        left = _less_states_of_windows(found, criterion, residuals, states)
         found = with_spectra_along(found, path, criterion, left)
         least = _misfit(found, criterion, residuals, states)
     average = _misfit(noise, criterion, residuals, states)

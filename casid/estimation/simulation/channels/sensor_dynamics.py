@@ -192,11 +192,9 @@ def late_columns(kind: str, columns: Array, samples: float, *, at_rest: bool) ->
     """Columns (N, ...) behind a delay, a lag or a filter of so many samples."""
     if kind == "delay":
         return delay_columns(columns, samples, at_rest=at_rest)
-    return (
-        lag_columns(columns, samples, at_rest=at_rest)[0]
-        if kind == "lag"
-        else (filtered(columns, samples)[0])
-    )
+    if kind == "lag":
+        return lag_columns(columns, samples, at_rest=at_rest)[0]
+    return filtered(columns, samples)[0]
 
 
 _ORDER = ("late_input", "rate_input", "lag_input")
