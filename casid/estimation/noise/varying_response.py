@@ -74,12 +74,10 @@ def with_varying_response(
         varying = replace(alike, varying=filters)
         misfit = _misfit(varying, criterion, residuals, states)
         alternatives.append((misfit, varying, steps))
-    if not alternatives:
-        return noise
     # Variances by an average response may be far from the likeliest: of a model that integrates a
     # force, a missing sample leaves more in every line of the spectrum than its sensor's noise.
     # What is the better one by the average response is refined as well before it is given up.
-    by_average = min(varying.misfit for _, varying, _ in alternatives)
+    by_average = min((varying.misfit for _, varying, _ in alternatives), default=np.inf)
     found, least, path = noise, np.inf, recorded
     for misfit, varying, steps in sorted(alternatives, key=lambda a: a[0]):
         left = _less_states_of_windows(varying, criterion, residuals, states)
@@ -91,6 +89,8 @@ def with_varying_response(
             found, least, path = refined, misfit, steps
         if varying.misfit == by_average:
             break
+    if not found.varying:
+        return noise
     if seeks_spectra:
         left = _less_states_of_windows(found, criterion, residuals, states)
         found = with_spectra_along(found, path, criterion, left)
