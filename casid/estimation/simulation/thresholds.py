@@ -125,6 +125,12 @@ class InputGaps:
     shortest: int = _is(
         50, "samples of a stretch between two long gaps, at least: it has states to start", _GAPS
     )
+    error: float = _is(
+        1e-3,
+        "rms error that filling may leave in an input, over the rms of the input, from which an "
+        "estimate warns of it: no gain is biased by more, and few are estimated as exactly",
+        _GAPS,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,15 @@ from scipy.linalg import expm
 
 import casid
 from casid.errors import DataError
-from casid.estimation.simulation.records.input_gaps import filled, long_gaps, with_gaps_treated
+from casid.estimation.simulation.records.input_gaps import (
+    filled,
+    filling_error,
+    long_gaps,
+    with_gaps_treated,
+)
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.thresholds import INPUT_GAPS
+from casid.report.verdicts import judged_estimate
 
 TS, N, SIGMA = 0.05, 1200, 0.02
 TRUE = {"k": 4.0, "d": 0.6}
@@ -198,14 +204,44 @@ def test_an_input_of_a_slower_clock_is_what_it_is():
     assert any("F has a value in one sample of 10 alone: it is held" in w for w in b.warnings)
 
 
-def test_short_gaps_of_an_input_are_filled_with_a_warning():
+def test_gaps_within_a_step_of_a_held_input_are_filled_without_a_warning():
+    """Between two equal levels it has not stepped: the verdict is that of the whole record."""
     s = signals(12)
     mask = np.zeros(N, dtype=bool)
     mask[[41, 42, 303, 655]] = True  # within a step of the force
     a, b = fit(record(s)), fit(record({**s, "F": without(s["F"], mask)}))
     for name in TRUE:
         assert a[name] == b[name]
-    assert any("F misses 4 samples (0.33 %) in 3 gaps of up to 0.1 s" in w for w in b.warnings)
+    assert b.warnings == a.warnings
+    assert judged_estimate(b).word == judged_estimate(a).word == "usable"
+    assert any("F misses 4 samples (0.33 %) in 3 gaps of up to 0.1 s" in p for p in b.provenance)
+
+
+def test_a_gap_of_a_held_input_between_two_levels_is_filled_with_a_warning():
+    """The input may have stepped anywhere in it, which moves estimates by standard errors."""
+    s = signals(12)
+    mask = np.zeros(N, dtype=bool)
+    mask[40] = True  # the first sample of a level
+    b = fit(record({**s, "F": without(s["F"], mask)}))
+    assert any("F misses 1 sample (0.083 %) in 1 gap of up to 0.05 s" in w for w in b.warnings)
+    assert judged_estimate(b).word == "use with care"
+
+
+def test_filling_errs_by_the_bend_of_an_input_over_the_gap():
+    """A sine joined by lines over h is off by a w^2 h^2 / 8 at most; a share s of it by sqrt(s)."""
+    w, gaps = 2 * np.pi / 50, np.arange(10, 490, 20)
+    mask = np.zeros(500, dtype=bool)
+    mask[gaps] = True
+    sine = np.sin(w * np.arange(500.0))
+    run = casid.Record({"F": without(sine, mask)}, {"F": "N"}, Ts=1.0, missing={"F": mask})
+    bound = w**2 * 2**2 / 8 * np.sqrt(gaps.size / 500)
+    assert filling_error(run, "F", "foh") == pytest.approx(bound, rel=0.02)
+    left = run.filled("F") - sine
+    assert np.std(left) / np.std(sine) <= bound
+    # Known from one side alone, a sample may be off by as much as the input moves.
+    mask = np.arange(500) == 0
+    run = casid.Record({"F": without(sine, mask)}, {"F": "N"}, Ts=1.0, missing={"F": mask})
+    assert filling_error(run, "F", "foh") == pytest.approx(500**-0.5)
 
 
 def test_inputs_with_the_same_gaps_are_named_together():
@@ -221,9 +257,9 @@ def test_inputs_with_the_same_gaps_are_named_together():
     units = {"F": "N", "G": "N", "v": "m/s"}
     run = casid.Record(channels, units, Ts=1.0, missing={"F": mask, "G": mask})
     (whole,) = with_gaps_treated(m, [casid.Experiment(run, {}, "run")])
-    said = [s for s in whole.record.provenance if "filled" in s]
+    said = [s for s in whole.record.provenance if "F" in s]
     assert said == [
-        "remark: filled: F and G miss 2 samples (4 %) in 1 gap of up to 2 s: they are held there"
+        "remark: F and G miss 2 samples (4 %) in 1 gap of up to 2 s: they are held there"
     ]
 
 

@@ -26,7 +26,7 @@ from casid.model.quantities import count_text, window_text
 
 _CUT = "remark: cut at long gaps of "
 FILLED = "remark: filled: "
-"""What the line of a record's history begins with that says how an input was filled."""
+"""What the line of a record's history begins with that warns of an input that was filled."""
 
 
 def filled(record: Record, name: str, hold: Hold) -> Array:
@@ -91,6 +91,35 @@ def long_gaps(record: Record, name: str) -> BoolArray:
         if stop - first + 1 > INPUT_GAPS.longest * usual:
             out[first:stop] = True
     return out
+
+
+def filling_error(record: Record, name: str, hold: Hold) -> float:
+    """The rms error that filling may leave in an input, over the rms of the input about its mean.
+
+    A gain estimated from the input is then biased by that share at most (Cauchy-Schwarz). A held
+    input may have stepped anywhere in a gap between two levels, and has not between two equal ones.
+    A straight line over an interval h is off by u'' h^2 / 8 at most, u'' by second differences.
+
+    Parameters
+    ----------
+    name : an input that the record has, with missing samples in short gaps.
+    """
+    u, missing = record[name], record.is_missing(name)
+    spread = float(np.std(u[~missing]))
+    bends = np.diff(u, 2)[~(missing[:-2] | missing[1:-1] | missing[2:])]
+    bend = float(np.sqrt(np.mean(bends**2))) if bends.size else np.inf
+    total = 0.0
+    for first, stop in zip(*stretches_of(missing), strict=True):
+        if first == 0 or stop == record.N:
+            error = spread  # known from one side alone
+        elif hold == "zoh":
+            error = abs(float(u[stop] - u[first - 1]))
+        else:
+            error = bend * (stop - first + 1) ** 2 / 8
+        total += (stop - first) * error**2
+    if total == 0.0:
+        return 0.0
+    return float(np.sqrt(total / record.N) / spread) if spread else np.inf
 
 
 def has_row_at_every_step(model: Model, record: Record, name: str) -> bool:
@@ -186,22 +215,25 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
     """A record whose inputs are filled, with numbers under the marks of its outputs."""
     if not any(mask.any() for mask in record.missing.values()):
         return record
-    alike: dict[tuple[str, Gaps], list[str]] = {}
+    alike: dict[tuple[str, Gaps, bool], list[str]] = {}
     channels, missing, late = dict(record.channels), dict(record.missing), dict(record.late)
     doubtful, lines = doubtful_inputs(model, record), []
     for name in recorded_inputs(model, record):
-        hold = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
+        own = model.inputs[name].hold
+        hold = "held" if own == "zoh" else "joined by straight lines"
         if name in doubtful and name in late:
             lines.append(f"remark: {name} is {hold} between its own instants, which are uneven")
         elif name in doubtful:
-            alike.setdefault((hold, gaps_of(record.missing[name])), []).append(name)
+            is_warned = filling_error(record, name, own) > INPUT_GAPS.error
+            alike.setdefault((hold, gaps_of(record.missing[name]), is_warned), []).append(name)
         else:
             lines.append(f"remark: {name} has a row at each of its steps: it is held between them")
-        channels[name] = filled(record, name, model.inputs[name].hold)
-        if name in late and model.inputs[name].hold == "zoh":
+        channels[name] = filled(record, name, own)
+        if name in late and own == "zoh":
             late[name] = lateness_of_steps(record, name)
         del missing[name]
-    lines += [_filling(names, hold, gaps, record) for (hold, gaps), names in alike.items()]
+    for (hold, gaps, is_warned), names in alike.items():
+        lines.append((FILLED if is_warned else "remark: ") + _filling(names, hold, gaps, record))
     for name in [n for n in missing if n in beside and n not in model.outputs]:
         gone = missing[name]
         if gone.any() and not long_gaps(record, name).any():
@@ -220,12 +252,9 @@ def _filling(names: Sequence[str], how: str, found: Gaps, record: Record) -> str
     who = f"{', '.join(first)} and {last}" if first else last
     has, misses, are = ("have", "miss", "they are") if first else ("has", "misses", "it is")
     if found.rate is not None:
-        return (
-            f"{FILLED}{who} {has} a value in one sample of {found.rate} alone: {are} {how} "
-            "between them"
-        )
+        return f"{who} {has} a value in one sample of {found.rate} alone: {are} {how} between them"
     return (
-        f"{FILLED}{who} {misses} {count_text(found.missing, 'sample')} "
+        f"{who} {misses} {count_text(found.missing, 'sample')} "
         f"({100 * found.missing / record.N:.2g} %) in {count_text(found.stretches, 'gap')}"
         f" of up to {found.longest * record.Ts:.3g} s: {are} "
         f"{how} there"
@@ -264,7 +293,7 @@ def _parts(model: Model, experiment: Experiment) -> list[Experiment]:
 
 
 def gap_notes(experiments: Sequence[Experiment]) -> list[str]:
-    """Warnings of inputs that were filled, and of records that were cut."""
+    """Warnings of inputs that filling may have left in error, and of records that were cut."""
     return [
         f"{e.name}: {line.removeprefix('remark: ')}".replace(FILLED.removeprefix("remark: "), "")
         for e in experiments
