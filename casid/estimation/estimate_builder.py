@@ -131,24 +131,20 @@ class EstimateBuilder:
         criterion: Scored,
         solution: Solution,
         rows: Sequence[Estimated | None],
+        covariance: Array,
         assumes: str,
-        covariance: Array | None = None,
         steep: Sequence[str] = (),
     ) -> Uncertainty:
-        """The unknowns of a minimum with their robust standard errors, its rank and its status.
+        """The unknowns of a minimum with their standard errors, its rank and its status.
 
         Parameters
         ----------
         rows : one for each unknown, its error still to be given; None where it is no result.
-        assumes : what the errors assume, with a place `{lags}` for the lags of the covariance.
-        covariance : (n, n) where it is not the robust one of a minimum.
+        covariance : (n, n), in SI.
+        assumes : what the covariance assumes.
         steep : unknowns whose tangents are not the slopes of the simulation: no error is valid.
         """
         names = tuple(v.name for v in criterion.variables)
-        lags = 0
-        if covariance is None:
-            scores, tied = criterion.scores(solution.x), solution.constraint_jacobian
-            covariance, lags = sandwich(solution.hessian, scores, solution.is_free, tied)
         if steep:
             covariance = np.zeros_like(covariance)
             self.warnings.append(
@@ -175,7 +171,7 @@ class EstimateBuilder:
                 )
         self.add_rank(rank)
         self.warn_unless_converged(solution)
-        return Uncertainty(names, covariance, assumes.format(lags=lags))
+        return Uncertainty(names, covariance, assumes)
 
     def _unheld(self, criterion: Scored, solution: Solution) -> dict[str, float]:
         """Standard errors of what ended at an end of its search, as they are without that end."""

@@ -69,14 +69,13 @@ class ErrorBars:
 
     Attributes
     ----------
-    assumes : with a place `{lags}` for the lags of the robust covariance, where it is used.
-    covariance : (n, n) of a fit that is no minimum of the criterion; None: the robust one.
+    covariance : (n, n), in SI.
     whiten : by the spectrum that the covariance rests on.
     weigh : the same for columns that are fitted: white noise does not stand in for missing samples.
     """
 
     assumes: str
-    covariance: Array | None = None
+    covariance: Array
     whiten: Whitener | None = None
     weigh: Whitener | None = None
 
@@ -118,12 +117,11 @@ def estimate_of(
     fit: Fit,
     held: Sequence[HeldOut] = (),
     *,
+    bars: ErrorBars,
     method: str | None = None,
     notes: Sequence[str] = (),
-    bars: ErrorBars | None = None,
 ) -> Estimate:
     """The `Estimate` of a fit: errors, fit, rank, whiteness, provenance."""
-    bars = bars or ErrorBars(ASSUMES + BIASED)
     criterion, solution = fit.criterion, fit.solution
     model = criterion.model
     builder = EstimateBuilder(problem.name, model, notes)
@@ -137,7 +135,7 @@ def estimate_of(
     ]
     steep = steeper_than_simulation(criterion, fit.x, solution.hessian)
     uncertainty = builder.add_minimum(
-        criterion, solution, rows, bars.assumes, bars.covariance, steep
+        criterion, solution, rows, bars.covariance, bars.assumes, steep
     )
     for e, d in enumerate(criterion.data):
         at = criterion.simulated(fit.x, e)

@@ -17,6 +17,7 @@ from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
+from casid.estimation.covariance import sandwich
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
 from casid.estimation.fitted.fitted_model import FittedModel
@@ -442,7 +443,11 @@ def _estimate(
         note = "" if is_own else f"searched from {v.start:.2g}"
         unit = _unit(criterion, v.name, v.source)
         rows.append(Estimated(v.name, value, unit, False, None, given, note))
-    uncertainty = builder.add_minimum(criterion, solution, rows, ASSUMES)
+    scores, tied = criterion.scores(x), solution.constraint_jacobian
+    covariance, lags = sandwich(solution.hessian, scores, solution.is_free, tied)
+    uncertainty = builder.add_minimum(
+        criterion, solution, rows, covariance, ASSUMES.format(lags=lags)
+    )
     for e, d in enumerate(criterion.data):
         error = criterion.innovations(x, e)
         builder.add_fits(d.name, criterion.outputs, np.where(d.used, d.y, np.nan), error)

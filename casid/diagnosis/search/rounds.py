@@ -20,6 +20,7 @@ from casid.diagnosis.evidence.records.signal_sizes import sizes_of
 from casid.diagnosis.evidence.residual.cogging_periods import CoggingCandidate, cogging_candidates
 from casid.diagnosis.evidence.residual.residual_tests import ResidualTests
 from casid.diagnosis.evidence.residual.spectral_peaks import (
+    Peak,
     PeriodicCandidate,
     peaks_of,
     periodic_candidates,
@@ -61,7 +62,7 @@ from casid.estimation.noise.variances import error_over_noise
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.balances.missing_parts import mode_frequencies, modes_at
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.effect import Effect, extend_all
+from casid.model.effects.effect import Effect, Sizes, extend_all
 from casid.model.effects.user_effects import UserEffect, user_effects
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
@@ -150,53 +151,48 @@ class Search:
         return tables[of]
 
     def _table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:
-        taken = {c.effect.key for c in adopted}
         recorded = self._free_channels(at.model)
         sizes = sizes_of(at, recorded)
         sizes = replace(sizes, events=(*sizes.events, *self.spikes))
-        every = catalogue(
-            at.model,
-            sizes,
-            recorded,
-            extra=user_effects(at.model, self.effects),
-            without=self.without,
-        )
-        effects = [
-            e
-            for e in every
-            if e.key not in taken
-            and not is_further_friction(e, adopted)
-            and not drives_one_way(e, at)
-        ]
-        own = {n for c in adopted for n in c.names}
-        known = events_of(adopted)
-        effects = [
-            e
-            for e in effects
-            if not e.sets_in or not (e.where in own or is_known_event(at, e, known))
-        ]
-        effects = [e for e in effects if not smooths_a_switch(at, e)]
-        # A slope of a cause's own size would be a second effect in the place of a first one.
-        effects = [e for e in effects if moved_parameter(e) not in own]
+        taken = {c.effect.key for c in adopted}
         judged = at.unbiased or at.fit
         peaks = peaks_of(judged)
+        effects = self._effects_beside(at, adopted, sizes, recorded)
         if "missing_mode" not in self.without:
-            # Between two frequencies of the catalogue a narrow mode is seen by none of them; what
-            # is faster than all of them a step of the simulation does not resolve.
-            fastest = mode_frequencies(sizes)[-1]
-            pitches = [2 * np.pi * peak.frequency for peak in peaks]
-            own_pitch = [w for w in pitches if w <= fastest]
-            effects += [e for e in modes_at(at.model, own_pitch) if e.key not in taken]
+            effects += [e for e in _modes_at_peaks(at.model, peaks, sizes) if e.key not in taken]
         table = self._scores(judged, effects, at.input_sd)
         found: list[PeriodicCandidate | CoggingCandidate] = []
         if "periodic_disturbance" not in self.without:
             lines = periodic_candidates(judged, peaks, sizes.window)
-            at_resonance = [bool(adopted) and is_at_resonance(at, c.peak.frequency) for c in lines]
-            found += [c for c, resonates in zip(lines, at_resonance, strict=True) if not resonates]
+            found += [c for c in lines if not (adopted and is_at_resonance(at, c.peak.frequency))]
         if "cogging" not in self.without:
             found += [c for c in cogging_candidates(at, sizes) if c.effect.key not in taken]
         table = with_far_dead_times(at, self.weighing.experiments, table, self.attempts)
         return table.with_peaks([_peak_score(c) for c in found])
+
+    def _effects_beside(
+        self,
+        at: Weighted,
+        adopted: Sequence[Candidate],
+        sizes: Sizes,
+        recorded: Mapping[str, str],
+    ) -> list[Effect]:
+        """The effects of the catalogue, and of the user, that may act beside those adopted."""
+        taken = {c.effect.key for c in adopted}
+        own = {n for c in adopted for n in c.names}
+        known = events_of(adopted)
+
+        def may_act(e: Effect) -> bool:
+            if e.key in taken or is_further_friction(e, adopted) or drives_one_way(e, at):
+                return False
+            if e.sets_in and (e.where in own or is_known_event(at, e, known)):
+                return False
+            # A slope of a cause's own size would be a second effect in the place of a first one.
+            return not smooths_a_switch(at, e) and moved_parameter(e) not in own
+
+        extra = user_effects(at.model, self.effects)
+        every = catalogue(at.model, sizes, recorded, extra=extra, without=self.without)
+        return [e for e in every if may_act(e)]
 
     def _scores(
         self, fit: Fit, effects: Sequence[Effect], input_sd: Mapping[str, float]
@@ -424,6 +420,16 @@ def _other_falls(
 def _solution(model: Model, effects: Sequence[Effect]) -> Explicit:
     """The equations of a model with effects, solved for its derivatives."""
     return extend_all(model, [e for e in effects if e.test == "score"])[0].explicit()
+
+
+def _modes_at_peaks(model: Model, peaks: Sequence[Peak], sizes: Sizes) -> list[Effect]:
+    """Narrow modes at peaks of the residual's spectrum, which no frequency of the catalogue shows.
+
+    What is faster than all frequencies of the catalogue a step of the simulation does not resolve.
+    """
+    fastest = mode_frequencies(sizes)[-1]
+    pitches = [2 * np.pi * peak.frequency for peak in peaks]
+    return modes_at(model, [w for w in pitches if w <= fastest])
 
 
 def smooths_a_switch(at: Weighted, effect: Effect) -> bool:

@@ -47,7 +47,6 @@ def bars_of(
     if not (roundings or shifts):
         return bars
     covariance, free = bars.covariance, fit.solution.is_free
-    assert covariance is not None  # of all that `error_bars` returns
     for moved in (*roundings, *shifts):
         added = free * np.array([moved.get(n, 0.0) for n in fit.criterion.names])
         covariance = covariance + np.outer(added, added)
@@ -89,7 +88,7 @@ def without_made_up(found: Findings) -> Findings:
     fit, bare = found.extended_fit, found.base_fit
     held = {*bare.solution.at_lower, *bare.solution.at_upper} & {*bare.criterion.model.parameters}
     bars = extended_bars(found) if found.adopted and held else None
-    if fit is None or fit.criterion.whiten is not None or bars is None or bars.covariance is None:
+    if fit is None or fit.criterion.whiten is not None or bars is None:
         return found
     errors = np.sqrt(np.maximum(np.diag(bars.covariance), 0.0))
     spread = zip(fit.criterion.names, errors, strict=True)

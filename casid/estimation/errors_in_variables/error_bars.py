@@ -29,15 +29,18 @@ def error_bars(found: Corrected) -> ErrorBars:
     were used; else that of the least-squares minimum under the spectrum of its residual, plain or
     weighted by it.
     """
+    if found.covariance is None:
+        return _bars_of_minimum(found.fit, ASSUMES + BIASED if found.why_not else ASSUMES)
     if found.reference:
         return ErrorBars(INSTRUMENTED, found.covariance)
-    if found.is_removed:
-        return ErrorBars(CORRECTED, found.covariance, found.whiten, found.weigh)
+    assumes = CORRECTED
     if found.weights is not None:
-        orders = orders_text(found.weights.models)
-        assumes = WEIGHTED.format(orders=orders)
-        return ErrorBars(assumes, found.covariance, found.whiten, found.weigh)
-    fit, assumes = found.fit, ASSUMES + BIASED if found.why_not else ASSUMES
+        assumes = WEIGHTED.format(orders=orders_text(found.weights.models))
+    return ErrorBars(assumes, found.covariance, found.whiten, found.weigh)
+
+
+def _bars_of_minimum(fit: Fit, assumes: str) -> ErrorBars:
+    """The covariance of a plain minimum, under the spectrum of its residual or robust to it."""
     coloured = covariance_under_colour(fit, fit.solution.is_free)
     if coloured is None:
         return robust_bars(fit, assumes)

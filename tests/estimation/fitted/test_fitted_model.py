@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import casid
+from casid.estimation.errors_in_variables.error_bars import robust_bars
 from casid.estimation.fitted.equations import equations_of
 from casid.estimation.simulation.fit import fit_model
-from casid.estimation.simulation_estimate import estimate_of
+from casid.estimation.simulation_estimate import ASSUMES, estimate_of
 from casid.model.clock_signals import StepAt
 from casid.model.effects.balances.balance_effects import quadratic_damping
 from casid.model.effects.balances.periodic import periodic_disturbance
@@ -92,7 +93,7 @@ def test_the_residuals_of_the_fitted_model_are_those_of_the_fit_to_the_last_bit(
     problem = casid.Problem("oscillator", extended, starts=1)
     run = record()
     fit = fit_model(extended, [casid.Experiment(run)], casid.FitSettings(starts=1), throw=False)
-    model = estimate_of(problem, fit).model
+    model = estimate_of(problem, fit, bars=robust_bars(fit, ASSUMES)).model
     at = fit.criterion.simulated(fit.x, 0)
     used = fit.criterion.data[0].used[:, 0]
     assert used.sum() > 300
@@ -315,7 +316,9 @@ def test_segments_of_multiple_shooting_start_where_the_fit_has_them():
     run = record()
     settings = casid.FitSettings(starts=1, segments=5)
     fit = fit_model(driven_mass(), [casid.Experiment(run)], settings, throw=False)
-    found = estimate_of(casid.Problem("oscillator", driven_mass()), fit)
+    found = estimate_of(
+        casid.Problem("oscillator", driven_mass()), fit, bars=robust_bars(fit, ASSUMES)
+    )
     model = found.model
     drawn = found.sample(lambda values: values["k"], draws=2000).values
     assert np.std(drawn) == pytest.approx(found.parameter("k").std_error, rel=0.1)

@@ -14,6 +14,7 @@ import casid
 from casid.estimation.simulation.channels.sensor_dynamics import delay_columns
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.records.signals import window_cuts
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.channels.channel_effects import saturation, sensor_lag
 from casid.model.effects.channels.delays import time_delay
@@ -535,3 +536,14 @@ def test_a_state_whose_root_flows_out_is_named_where_it_begins_at_zero():
     with pytest.raises(casid.SolveError, match="h begins at 0.*no finite slope") as caught:
         fit_model(m, data, FitSettings(starts=1))
     assert 'm.state("h", ..., start=1.0)' in str(caught.value)
+
+
+def test_windows_are_as_even_as_whole_samples_allow_and_none_is_too_short():
+    for n in range(1, 400):
+        for window in range(1, 60):
+            cuts = window_cuts(n, window)
+            lengths = np.diff(cuts)
+            assert cuts[0] == 0
+            assert cuts[-1] == n
+            assert np.ptp(lengths) <= 1
+            assert lengths.min() >= min(window, n)

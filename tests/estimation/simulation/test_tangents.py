@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import casid
+from casid.estimation.errors_in_variables.error_bars import robust_bars
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation_estimate import steeper_than_simulation
@@ -37,12 +38,12 @@ def test_a_chaotic_simulation_has_no_slope_and_a_smooth_one_has():
 
 
 def test_an_estimate_from_a_chaotic_simulation_has_no_standard_errors_and_says_why():
-    from casid.estimation.simulation_estimate import estimate_of
+    from casid.estimation.simulation_estimate import ASSUMES, estimate_of
 
     problem = casid.Problem("map", doubling(7.0), starts=1)
     settings = FitSettings(starts=1, substeps=1)
     fit = fit_model(problem.model, [experiment()], settings, throw=False, check_rank=False)
-    estimate = estimate_of(problem, fit)
+    estimate = estimate_of(problem, fit, bars=robust_bars(fit, ASSUMES))
     row = estimate.parameter("g")
     assert row.std_error is None
     assert "chaotic" in row.note
