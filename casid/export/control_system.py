@@ -16,6 +16,7 @@ from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import function_of
 from casid.export.naming import checked_path, written_by
 from casid.export.plain_model import PlainModel, plain_model
+from casid.model.identifiers import quoted
 
 _MAX_ORDER = 10  # as MATLAB advises: the coefficients of higher orders spread over too many decades
 
@@ -178,10 +179,11 @@ def write_control(
     """Write a Python file (.py) that makes the state space, `system`."""
     system = control_system(fitted, at, pade=pade, without_delays=without_delays)
     path = checked_path(path, "control")
+    name = " ".join(fitted.name.replace('"', "'").replace("\\", "/").split())
     point = ", ".join(f"{n} = {v:g}" for n, v in (at or {}).items()) or "all states and inputs zero"
     late = "" if pade is None else f", delays by Pade approximations of order {pade}"
     lines = [
-        f'"""{fitted.name}, linearised at {point}{late}; SI units. Written by {written_by()}."""',
+        f'"""{name}, linearised at {point}{late}; SI units. Written by {written_by()}."""',
         "",
         "import control",
         "import numpy as np",
@@ -196,7 +198,7 @@ def write_control(
             f"    {what}={_texts(getattr(system, f'{what[:-1]}_labels'))},"
             for what in ("states", "inputs", "outputs")
         ),
-        f"    name={_text(system.name)},",
+        f"    name={quoted(system.name)},",
         ")",
     ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -210,9 +212,5 @@ def _matrix(values: Array) -> str:
     return f"np.array([{rows}])"
 
 
-def _text(value: str) -> str:
-    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
 def _texts(values: list[str]) -> str:
-    return f"[{', '.join(map(_text, values))}]"
+    return f"[{', '.join(map(quoted, values))}]"

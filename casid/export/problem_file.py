@@ -30,6 +30,7 @@ from casid.model.declarations import Input, Parameter, Stage, State
 from casid.model.effects.effect import KINDS
 from casid.model.effects.names import unsaid
 from casid.model.formula_text import PYTHON, number_text
+from casid.model.identifiers import quoted
 from casid.model.model import Model
 from casid.model.units import from_si
 
@@ -120,7 +121,7 @@ class _Writer:
     def text(self) -> str:
         """The whole file."""
         body = [
-            *_call_lines(f"{self.m} = casid.Model", [_text(self._model_name())]),
+            *_call_lines(f"{self.m} = casid.Model", [quoted(self._model_name())]),
             "",
             *self._section("States", self._states()),
             *self._section("Inputs", self._inputs()),
@@ -205,7 +206,7 @@ class _Writer:
     def _states(self) -> list[str]:
         lines = []
         for name, state in self.model.states.items():
-            given = [_text(name), _text(self.whole.unit_of(name))]
+            given = [quoted(name), quoted(self.whole.unit_of(name))]
             start = self.fitted.si_initial_states[name]
             if state.initial is not None:
                 given.append(f"initial={self._number(name, state.initial)}")
@@ -218,13 +219,13 @@ class _Writer:
     def _inputs(self) -> list[str]:
         model, lines = self.model, []
         for name, entry in model.inputs.items():
-            unit = _text(self.whole.unit_of(name) if name in self.whole.inputs else entry.unit)
+            unit = quoted(self.whole.unit_of(name) if name in self.whole.inputs else entry.unit)
             lines += self._call(self.names[name], *self._declared_input(entry, unit))
         return lines
 
     def _declared_input(self, entry: Input, unit: str) -> list[str]:
         """The method that declares an input, and its arguments."""
-        name = _text(entry.name)
+        name = quoted(entry.name)
         if entry.kind == "unknown":
             return ["unknown_input", name, unit]
         hold = [] if entry.hold == "foh" else [f'hold="{entry.hold}"']
@@ -245,11 +246,11 @@ class _Writer:
         for name, p in self.model.parameters.items():
             if name in self.added:
                 continue
-            unit, value = _text(self.whole.unit_of(name)), self.fitted.si_values[name]
+            unit, value = quoted(self.whole.unit_of(name)), self.fitted.si_values[name]
             variable = self.names[name]
             if p.is_constant:
                 number = self._number(name, value)
-                lines += self._call(variable, "constant", _text(name), number, unit)
+                lines += self._call(variable, "constant", quoted(name), number, unit)
                 continue
             is_free = self._is_estimated(name)
             if is_free:
@@ -257,7 +258,7 @@ class _Writer:
                 size = f"start={self._number(name, inside, is_start=True)}"
             else:
                 size = f"value={self._number(name, value)}"
-            given = [_text(name), unit, size, *self._bounds(p)]
+            given = [quoted(name), unit, size, *self._bounds(p)]
             lines += self._call(variable, "parameter", *given, remark=self._remark(name))
         return lines
 
@@ -299,7 +300,7 @@ class _Writer:
         lines = [
             f"{self.m}.balance(",
             f"    {self.names[b.rate]},",
-            f"    {_text(b.name)},",
+            f"    {quoted(b.name)},",
             f"    inertia={self._formula(b.inertia)},",
             "    terms=[",
         ]
@@ -312,23 +313,23 @@ class _Writer:
             if remark and not is_short:
                 lines.append(f"        {remark}")
             lines.append(f"{line}  {remark}" if remark and is_short else line)
-        return [*lines, "    ],", f"    unit={_text(b.shown_unit)},", ")"]
+        return [*lines, "    ],", f"    unit={quoted(b.shown_unit)},", ")"]
 
     def _outputs(self) -> list[str]:
         lines: list[str] = []
         for n, e in self.equations.outputs.items():
-            unit = _text(self.whole.unit_of(n))
-            lines += self._call("", "output", _text(n), self._formula(e), unit)
+            unit = quoted(self.whole.unit_of(n))
+            lines += self._call("", "output", quoted(n), self._formula(e), unit)
         return lines
 
     def _eliminations(self) -> list[str]:
         lines = []
         for e in self.equations.eliminations:
-            given = [_text(e.unknown), f"using={_text(e.output)}"]
+            given = [quoted(e.unknown), f"using={quoted(e.output)}"]
             if e.solution is not None:
                 symbol = self.names[e.output]
                 if symbol in self._formula(e.solution):
-                    lines.append(f"{symbol} = {self.m}.eliminated_symbol({_text(e.output)})")
+                    lines.append(f"{symbol} = {self.m}.eliminated_symbol({quoted(e.output)})")
                 given.append(f"solution={self._formula(e.solution)}")
             given += [] if e.hold == "foh" else [f'hold="{e.hold}"']
             lines += self._call(self.m, "eliminate", *given)
@@ -342,7 +343,7 @@ class _Writer:
             if entry.kind == "generated" or self.whole.acting_hold(name) != entry.hold:
                 continue
             for blend in entry.blends:
-                hold = f"{_text(name)}, {_text(blend.toward)}"
+                hold = f"{quoted(name)}, {quoted(blend.toward)}"
                 lines += self._extended(f"casid.hold({self.m}, {hold})", blend.parameter)
         shared: dict[str, list[Stage]] = {}
         for stage in self.whole.stages:
@@ -353,7 +354,7 @@ class _Writer:
             largest = p.upper if size == "longest" else self.fitted.si_values[p.name]
             number = f"{largest:.3g}" if size == "longest" else self._number(p.name, largest)
             number = f"{largest:.9g}" if size == "rate" else number  # SI, whatever the channel
-            channel = ", ".join(_text(s.channel) for s in (stage, *others))
+            channel = ", ".join(quoted(s.channel) for s in (stage, *others))
             channel = f"[{channel}]" if others else channel
             begins = f", begins={stage.begins:g}" if stage.begins else ""
             made = f"casid.{function}({self.m}, {channel}, {size}={number}{begins})"
@@ -375,7 +376,7 @@ class _Writer:
         if name.isidentifier():
             yield f"{self.m} = {self.m}.{how}({name}={number})"
         else:
-            yield f"{self.m} = {self.m}.{how}(**{{{_text(name)}: {number}}})"
+            yield f"{self.m} = {self.m}.{how}(**{{{quoted(name)}: {number}}})"
 
     # -- the problem ---------------------------------------------------------------------------
 
@@ -389,15 +390,15 @@ class _Writer:
         ]
         lines += [
             "problem = casid.Problem(",
-            f"    name={_text(self.fitted.name)},",
+            f"    name={quoted(self.fitted.name)},",
             f"    model={self.m},",
         ]
         for what, table in (("channels", channels.columns), ("recorded", recorded)):
             if table:
-                rows = [f"{_text(k)}: {_text(v)}" for k, v in table.items()]
+                rows = [f"{quoted(k)}: {quoted(v)}" for k, v in table.items()]
                 lines += _braced(what, rows)
         if channels.time:
-            lines.append(f"    time={_text(channels.time)},")
+            lines.append(f"    time={quoted(channels.time)},")
         if channels.form is not None and channels.form.given:
             lines.append(f"    form={channels.form.code},")
         cases = self._load_cases()
@@ -411,14 +412,9 @@ class _Writer:
         for record in self.fitted.records:
             known = {n: v for n, v in record.known.items() if n in self.whole.parameters}
             if known:
-                values = ", ".join(f"{_text(n)}: {self._number(n, v)}" for n, v in known.items())
+                values = ", ".join(f"{quoted(n)}: {self._number(n, v)}" for n, v in known.items())
                 found[record.name.partition(":")[0]] = f"{{{values}}}"
-        return [f"{_text(case)}: {values}" for case, values in found.items()]
-
-
-def _text(value: str) -> str:
-    """A Python string in double quotes."""
-    return '"' + value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+        return [f"{quoted(case)}: {values}" for case, values in found.items()]
 
 
 def _call_lines(head: str, arguments: Sequence[str], remark: str = "") -> list[str]:

@@ -1,7 +1,8 @@
-"""Names that a formula, a file or another language can hold."""
+"""Names and texts that a formula, a file or another language can hold."""
 
 from __future__ import annotations
 
+import json
 import re
 
 
@@ -15,3 +16,8 @@ def identifier(name: str) -> str:
 def made_identifier(name: str) -> str:
     """A name itself where it is an identifier, in whatever letters, or else one made of it."""
     return name if name.isidentifier() else identifier(name)
+
+
+def quoted(text: str) -> str:
+    """A Python string in double quotes, on one line."""
+    return json.dumps(text, ensure_ascii=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -77,6 +78,18 @@ def test_the_written_state_space_is_the_same(tmp_path: Path) -> None:
     for name in "ABCD":
         assert np.array_equal(getattr(module.system, name), getattr(system, name))
     assert module.system.state_labels == system.state_labels
+
+
+def test_any_name_of_a_model_is_text_in_the_written_file(tmp_path: Path) -> None:
+    """Quotes, a backslash and a line break end neither the docstring nor a string of the file."""
+    fitted = replace(extended_emps(), name='a "rail"\nof a\\b """')
+    path = write_control(fitted, tmp_path / "rail.py")
+    spec = importlib.util.spec_from_file_location("rail", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.system.name == fitted.to_control().name
 
 
 def test_a_point_that_is_no_state_or_input_is_refused() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -13,16 +12,12 @@ from casid.data.reading.header_units import header_unit
 from casid.data.templates.file_channels import FileChannel, FileChannels, free_name
 from casid.data.templates.roles import Role, is_command, same_quantity
 from casid.errors import DataError
+from casid.model.identifiers import quoted
 from casid.model.units import parse_unit, si_unit
 
 WIDTH = 100
 CHECK = "# CHECK: "
 _DECADES = 3  # of a positive parameter below its start, and one less above it
-
-
-def quoted(text: str) -> str:
-    """A Python string in double quotes."""
-    return json.dumps(text, ensure_ascii=False)
 
 
 def number(value: float) -> str:

@@ -14,7 +14,7 @@ from casid.data.files import write_text
 from casid.data.reading.columns import ColumnSpec, clock_and_unit
 from casid.data.reading.file_format import FileFormat
 from casid.data.templates.dc_motor import DC_MOTOR
-from casid.data.templates.draft import CHECK, WIDTH, Draft, quoted
+from casid.data.templates.draft import CHECK, WIDTH, Draft
 from casid.data.templates.file_channels import (
     FileChannel,
     FileChannels,
@@ -29,6 +29,7 @@ from casid.data.templates.template import Body, Template
 from casid.data.templates.thermal import THERMAL
 from casid.data.templates.vehicle import VEHICLE
 from casid.errors import DataError, nearest
+from casid.model.identifiers import quoted
 
 TEMPLATES: Mapping[str, Template] = {
     t.name: t for t in (MASS_SPRING_DAMPER, DC_MOTOR, THERMAL, TANK, VEHICLE, FREE)
