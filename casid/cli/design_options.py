@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from casid.cli.request import parse_setting
+from casid.cli.request import names_in, parse_setting
 from casid.errors import DataError
 from casid.experiment_design.thresholds import DESIGN, STARTING
 
@@ -203,11 +203,11 @@ class AimOptions:
                 "FORMULA or --identifiable"
             )
         if self.separate:
-            return Aim.separate(*_names(self.separate))
+            return Aim.separate(*names_in(self.separate))
         if self.detect:
             return Aim.detect(self.detect, false_alarm_rate=self.false_alarm_rate)
         if self.estimate:
-            names = [] if self.estimate == "all" else _names(self.estimate)
+            names = [] if self.estimate == "all" else names_in(self.estimate)
             return Aim.estimate(*names, optimality=self.optimality)
         if self.variance_of:
             return Aim.variance_of(self.variance_of)
@@ -249,10 +249,6 @@ def design_arguments(given: dict[str, Any]) -> dict[str, Any]:
     out["band"] = _band(given.pop("band"))
     out["duration"] = _duration(given.pop("duration"))
     return out
-
-
-def _names(text: str) -> Sequence[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _ranges(option: str, texts: Sequence[str]) -> dict[str, tuple[Any, ...]]:

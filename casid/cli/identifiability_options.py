@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from casid.cli.request import Request, parse_setting
+from casid.cli.request import Request, names_in, parse_setting
 from casid.errors import DataError, nearest
 
 if TYPE_CHECKING:
@@ -229,8 +229,8 @@ def is_equation_file(path: str) -> bool:
 
 
 def _names(texts: Sequence[str]) -> tuple[str, ...]:
-    """Names of options that take several, separated by commas."""
-    return tuple(dict.fromkeys(n.strip() for t in texts for n in t.split(",") if n.strip()))
+    """The names of a repeatable option, each once."""
+    return tuple(dict.fromkeys(name for text in texts for name in names_in(text)))
 
 
 def _cost(text: str, sensor: str) -> float:

@@ -77,6 +77,11 @@ def parse_setting(text: str, option: str = "--set") -> tuple[str, float]:
     return name.strip(), number
 
 
+def names_in(text: str) -> list[str]:
+    """The names of an option that takes several, separated by commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 @dataclass(frozen=True, slots=True)
 class Source:
     """One file named on the command line: load case, path and window [s]."""

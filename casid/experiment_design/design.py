@@ -34,8 +34,8 @@ from casid.experiment_design.shortest_record import (
     Duration,
     Tried,
     ends_of,
+    required_score,
     shortest,
-    wanted,
 )
 from casid.experiment_design.standard_inputs import kinds_of
 from casid.experiment_design.thresholds import DURATION, KEEPING
@@ -96,7 +96,7 @@ def design_experiment(
         nominal.acting, limits, slew=o["slew"], max_energy=o["max_energy"], release=o["release"]
     )
     low, high = ends_of(duration)
-    score = wanted(aim) if low < high else 0.0
+    score = required_score(aim) if low < high else 0.0
     say = progress or (lambda _: None)
     first = _answer(nominal, own, aim, high, o, say)
     answer, tried = first, cast(tuple[Tried, ...], ())

@@ -305,7 +305,7 @@ class DesignedExperiment(Presented, Saved):
             what = "detects the cause" if self.aim.kind == "detect" else "names the right cause"
             text = f"A record of {text} {what} with a probability of {100 * self.power:.3g} %"
             if not self.is_enough:
-                return f"{text}; {self._time_that_is_enough}."
+                return f"{text}; {self._sufficient_duration}."
         elif self.aim.kind == "identifiable":
             text = (
                 f"A record of {text} determines every parameter to "
@@ -331,7 +331,7 @@ class DesignedExperiment(Presented, Saved):
         return bool(self.standards) and self.gain < 1 + DESIGN.equal
 
     @property
-    def _time_that_is_enough(self) -> str:
+    def _sufficient_duration(self) -> str:
         """How long to record for the usual power, energies growing with the record."""
         wanted = energy_for_name(DESIGN.power)
         if self.aim.kind == "detect":

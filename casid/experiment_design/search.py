@@ -101,10 +101,10 @@ class Search:
     def _first_prediction(self) -> Prediction:
         q = self.question
         prediction = based(Prediction(self.setup, q.hypotheses, q.comparisons))
-        return replace_substeps(prediction, self._middling(prediction))
+        return replace_substeps(prediction, self._allowed_input(prediction))
 
-    def _middling(self, prediction: Prediction) -> tuple[Array, Array]:
-        """Some input that keeps the limits, for what needs any motion."""
+    def _allowed_input(self, prediction: Prediction) -> tuple[Array, Array]:
+        """An input that keeps the limits and moves the system, where any such input will do."""
         rng = np.random.default_rng((self.seed, 1))
         _, _, u, release = drawn(prediction.setup, rng)
         return shrunk(prediction, u, release) or prediction.setup.begun_at
@@ -127,7 +127,7 @@ class Search:
             most = max(most, share)
             found.append(StandardInput(kind, words, *allowed, float(np.min(values))))
         if not any(np.isfinite(s.score) for s in found) or most < DESIGN.nothing:
-            raise IdentifiabilityError(self._nothing())
+            raise IdentifiabilityError(self._why_none_decides())
         found.sort(key=lambda s: -s.score)
         self.standards = found
         return found
@@ -136,14 +136,13 @@ class Search:
         """Scores of all comparisons whose truth has its size, and the largest share of a misfit."""
         values, share = [], 1.0
         for gram, target in zip(grams, self.question.targets, strict=True):
-            if target.kind != "misfit":
-                values.append(scores(gram, target))
-            else:
-                values.append(scores(gram, target))
+            values.append(scores(gram, target))
+            if target.kind == "misfit":
                 share = min(share, float(np.exp(values[-1][0])) / max(float(gram[-1, -1]), TINY))
         return np.concatenate(values) if values else np.array([-np.inf]), share
 
-    def _nothing(self) -> str:
+    def _why_none_decides(self) -> str:
+        """Why no standard input answers the question, and what to change."""
         q, name = self.question, self.setup.nominal.name
         if q.effects:
             pairs = " and ".join(q.hypotheses[i].name for i in q.comparisons[0] if i is not None)
@@ -191,15 +190,15 @@ class Search:
             new = self.judged(
                 prediction, solved.u, solved.release, f"designed from: {start.what}", iterations
             )
-            promised = self._promised(prediction, solved.u, solved.release)
+            expected = self._least_score(prediction, solved.u, solved.release)
             best = new if new.least > best.least else best
             u, release, prediction = solved.u, solved.release, new.prediction
             self.progress(f"information times {np.exp(best.least - start.least):.3g}")
-            if new.least >= promised + np.log(DESIGN.refitted):
+            if new.least >= expected + np.log(DESIGN.refitted):
                 break
         return best
 
-    def _promised(self, prediction: Prediction, u: Array, release: Array) -> float:
+    def _least_score(self, prediction: Prediction, u: Array, release: Array) -> float:
         """The smallest score of an input, its rivals linearised as the program had them."""
         grams = prediction.grams(u, release)
         return -np.inf if grams is None else float(np.min(self._scores(grams)[0]))
@@ -239,7 +238,7 @@ class Search:
             iterations += solved.iterations
             kept = shrunk(prediction, solved.u, solved.release, finer=KEEPING.finer)
             if kept is not None:
-                worth = self._promised(prediction, *kept)
+                worth = self._least_score(prediction, *kept)
                 if floors is not None:  # the least energy, once the floors are reached
                     enough = np.min(floors) - np.log1p(2 * DESIGN.accuracy)
                     worth = -self._moved(*kept) if worth >= enough else -np.inf

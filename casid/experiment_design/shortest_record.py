@@ -63,7 +63,7 @@ def ends_of(duration: Duration) -> tuple[float, float]:
     return low, high
 
 
-def wanted(aim: Aim) -> float:
+def required_score(aim: Aim) -> float:
     """The score (see `information`) at which an aim is reached.
 
     Raises

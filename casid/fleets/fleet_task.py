@@ -112,8 +112,6 @@ def _supervised(budget: Budget, function: str, *arguments: Any) -> dict[str, Any
         process = _processes.process = Supervised(budget.seconds, budget.memory)
     try:
         found: dict[str, Any] = process(function, *arguments)
-    except StoppedError:
-        raise
     except Exception:
         raise
     except BaseException:  # Ctrl-C: its answer would come to the next record

@@ -94,7 +94,7 @@ class Model(NamedQuantities, Viewed):
     def derivative(self, state: Any, expression: Expr) -> None:
         """State that d(state)/dt = expression."""
         name = self._state_name(state)
-        self._once(name)
+        self._require_no_equation(name)
         self._rates[name] = expression_of(f"{self.name}: the derivative of {name},", expression)
         self._explicit = None
 
@@ -114,7 +114,7 @@ class Model(NamedQuantities, Viewed):
         inertia 1 its own unit over s, else the SI unit of most terms and inertia times d(rate)/dt.
         """
         state = self._state_name(rate)
-        self._once(state)
+        self._require_no_equation(state)
         require_texts(f"{self.name}: balance {name!r}", name=[name])
         if name in self.balances:
             raise ModelError(f"{self.name}: balance {name!r} stated twice; give it another name")
@@ -175,7 +175,7 @@ class Model(NamedQuantities, Viewed):
                 f"{self.name}: no output {using!r} to eliminate {name} with"
                 f"{nearest(using, self.outputs)}"
             )
-        new = self._copy(self.name)
+        new = self.copy()
         places = list(self.inputs).index(name), list(self.outputs).index(using)
         expression, unit = new.outputs.pop(using)
         measured = self.eliminated_symbol(using)
@@ -208,7 +208,7 @@ class Model(NamedQuantities, Viewed):
 
         Source: Linder (2017), (4.1)-(4.4), (7.10) for the pendulum.
         """
-        new = self._copy(self.name)
+        new = self.copy()
         new._eliminations, new._measured, new.eliminated_units = [], [], {}
         kept = list(self._measured)
         while kept:
@@ -259,7 +259,7 @@ class Model(NamedQuantities, Viewed):
 
     def with_si_values(self, values: Mapping[str, float]) -> Model:
         """A copy in which the named parameters are known; values in SI."""
-        new = self._copy(self.name)
+        new = self.copy()
         for name, value in values.items():
             self.parameter_named(name)
             new.parameters[name] = replace(new.parameters[name], value=float(value))
@@ -270,7 +270,7 @@ class Model(NamedQuantities, Viewed):
 
         Starts are in the units that the parameters were declared in.
         """
-        new = self._copy(self.name)
+        new = self.copy()
         given = self.in_si(starts)
         for name in (*names, *starts):
             old = self.parameter_named(name)
@@ -280,7 +280,7 @@ class Model(NamedQuantities, Viewed):
 
     def taking_si(self, yes: bool = True) -> Model:
         """A copy whose methods take numbers by name in SI, as the library's own calls do."""
-        new = self._copy(self.name)
+        new = self.copy()
         new.takes_si = yes
         return new
 
@@ -451,14 +451,15 @@ class Model(NamedQuantities, Viewed):
                 return self.unit_of(name)
         return next((b.declared for b in self.balances.values() if b.declared and b.unit == si), si)
 
-    def _once(self, name: str) -> None:
+    def _require_no_equation(self, name: str) -> None:
         if name in self._rates or any(b.rate == name for b in self.balances.values()):
             raise ModelError(f"{self.name}: state {name} has two equations; drop one")
 
-    def _copy(self, name: str) -> Model:
+    def copy(self, name: str | None = None) -> Model:
+        """An independent copy that shares the symbols."""
         new = Model.__new__(Model)
         new.__dict__.update(self.__dict__)
-        new.name = name
+        new.name = name or self.name
         for key in ("states", "inputs", "parameters", "balances", "outputs"):
             setattr(new, key, dict(getattr(self, key)))
         new._symbols = dict(self._symbols)
@@ -470,10 +471,6 @@ class Model(NamedQuantities, Viewed):
         new.declared_units = dict(self.declared_units)
         new._explicit = None
         return new
-
-    def copy(self, name: str | None = None) -> Model:
-        """An independent copy that shares the symbols."""
-        return self._copy(name or self.name)
 
     def __copy__(self) -> Model:
         return self.copy()
