@@ -155,7 +155,7 @@ def own_parameters(problem: Problem, own: str | None) -> tuple[str, ...]:
     Raises
     ------
     DataError
-        If the problem has no such parameter, or knows its value.
+        If the problem has no such parameter, or its value is known.
     """
     names = tuple(name.strip() for name in own.split(",")) if own is not None else ()
     for name in names:

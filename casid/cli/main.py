@@ -45,7 +45,7 @@ class _Casid(click.Group):
 
     def _status(self, *args: Any, **extra: Any) -> int:
         for stream in (sys.stdout, sys.stderr):
-            # A terminal that cannot show a sign gets its escape, not a crash.
+            # A character that a terminal cannot show is escaped.
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="backslashreplace")
         try:

@@ -1,4 +1,4 @@
-"""Reports of a folder on a page of this machine alone: read, never written."""
+"""A local, read-only server of the reports in a folder."""
 
 from __future__ import annotations
 

@@ -203,7 +203,9 @@ class Request:
     def experiments(self, problem: Problem) -> tuple[list[Experiment], float | list[Experiment]]:
         """What is to be fitted and what is to be held out, read and prepared.
 
-        `problem` is the one that knows the values of --set.
+        Parameters
+        ----------
+        problem : with the values of --set known (`known_problem`).
         """
         from casid.data.reading.sources import parse_window
 
@@ -301,8 +303,8 @@ def read_experiment(
         ignore=reading.ignore,
     )
     record = experiment.record
-    # Of rows that are absent altogether a slower clock knows nothing, nor of one that a held input
-    # has more, where two rows of the file share a place.
+    # Samples that no row of the file has do not count as holes of a slower clock; nor does the
+    # further sample of a held input where two rows of the file lie in one sample.
     held = {n for n, entry in problem.model.inputs.items() if entry.hold == "zoh"}
     others = [n for n in record if n not in held] or list(record)
     empty = np.logical_and.reduce([record.is_missing(n) for n in others])

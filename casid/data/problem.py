@@ -58,18 +58,17 @@ class Problem(Presented):
     load_cases : name -> values of parameters known in that case.
     noise : channel -> standard deviation of its white noise, where known, in the channel's unit;
         that of a derived channel's sources is propagated and noted in the record's provenance.
-    example : returns the example's experiments or records, or one (their effect is for the
-        diagnosis to find).
+    example : returns the experiments or records of an example, or one of them.
     simulate : takes a seed and returns the same with noise drawn from it, for Monte Carlo studies;
         the system is to be the same for every seed.
-    truth : name -> value that `simulate` gives the parameter, where the model has it right; what it
-        leaves out shows as bias.
+    truth : parameter -> its true value in `simulate`, with which estimates are compared: what the
+        model leaves out shows as their bias.
     effects : effects of the user's own, or functions from a model to one or several, that the
         diagnosis tests beside its catalogue (`casid.balance_effect` and its like).
     starts : how many starts an estimation tries.
-    form : how the problem's files are written, where they leave it open, as the order of dates.
-    external : recorded channels or inputs that nothing in the experiment affects, as a reference:
-        where least squares is biased, `identify` makes instruments of the first.
+    form : how the problem's files are written where they are ambiguous, as in the order of dates.
+    external : recorded channels or inputs that are independent of all noise and disturbances, as a
+        reference is: where least squares is biased, `identify` makes instruments of the first.
     description, references : for reports.
     source : the file it was loaded from; worker processes load it again.
 
@@ -184,9 +183,9 @@ class Problem(Presented):
         return f"<Problem {self.name}: {self.model!r}>"
 
     def columns(self, mapping: Mapping[str, str] | None = None) -> dict[str, ColumnSpec]:
-        """Where each signal is read from, the user's `mapping` over the problem's own.
+        """Where each signal is read from: signal -> column, `mapping` before the problem's own.
 
-        Instead of a derived channel there are its sources, unless it is mapped itself.
+        In the place of a derived channel there are its sources, unless it is mapped itself.
         """
         merged = {**self.channels, **(mapping or {})}
         units = self._channel_units()
@@ -204,7 +203,7 @@ class Problem(Presented):
             if known is not None and known.kind == "generated":
                 continue
             if known is not None and known.kind == "unknown" and signal not in merged:
-                continue  # nobody measures it
+                continue  # not measured
             if signal in computed or (signal not in own and signal not in needed):
                 continue
             text = merged.get(signal, signal)
@@ -266,7 +265,9 @@ class Problem(Presented):
 
         Parameters
         ----------
+        path : of the file; a window may follow it, as in `run.csv@12:194`.
         mapping : signal -> column, with its unit after a colon, before the problem's `channels`.
+        case, known : load case, and values of parameters in declared units, of this record.
         window, resample, name, mark_missing : as `casid.read_record`, except that rows that an
             even clock leaves out are missing samples here, as empty cells are.
         form : how the file is written, before the problem's `form`.
@@ -363,7 +364,7 @@ class Problem(Presented):
     def _present(
         self, columns: Sequence[str], specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
     ) -> dict[str, ColumnSpec]:
-        """Drop channels recorded beside the model's where the file does not have them."""
+        """The columns to read, without those of channels beside the model's that the file lacks."""
         there = set(columns)
         signals = {*self.model.inputs, *self.model.outputs}
         for name, entry in self.derived.items():
@@ -382,7 +383,13 @@ class Problem(Presented):
         case: str | None = None,
         known: Mapping[str, float] | None = None,
     ) -> Experiment:
-        """A record with its derived channels, its load case and further known values."""
+        """A record with its derived channels, its load case and further known values.
+
+        Raises
+        ------
+        DataError
+            For a load case or a parameter that the problem does not have, and as `derive`.
+        """
         record = self.derive(record)
         values: dict[str, float] = {}
         if case is not None:

@@ -43,7 +43,7 @@ class Estimated:
     ends: tuple[float, float] | None = None  # of an interval that is not normal
     interval_kind: str = "quick"  # normal; or "profile", "bootstrap", whose ends stand in `ends`
     resolution: float | None = None  # of an instant [s] that is searched for
-    bound: Bound = ""  # that the fit holds it at
+    bound: Bound = ""  # at which the fit ended
 
     @property
     def interval(self) -> tuple[float, float] | None:
@@ -59,19 +59,17 @@ class Estimated:
         if unit == self.unit:
             return self
         factor = parse_unit(self.unit).factor / parse_unit(unit).factor
-        ends = self.ends
-        if ends is not None:
-            low, high = (float(from_si(to_si(end, self.unit), unit)) for end in ends)
-            ends = (low, high)
+
+        def converted(value: float) -> float:
+            return float(from_si(to_si(value, self.unit), unit))
+
         return replace(
             self,
-            ends=ends,
-            value=float(from_si(to_si(self.value, self.unit), unit)),
+            value=converted(self.value),
             unit=unit,
             std_error=None if self.std_error is None else self.std_error * factor,
-            start=None
-            if self.start is None
-            else float(from_si(to_si(self.start, self.unit), unit)),
+            start=None if self.start is None else converted(self.start),
+            ends=None if self.ends is None else (converted(self.ends[0]), converted(self.ends[1])),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -176,7 +174,7 @@ class Uncertainty:
     names: tuple[str, ...]
     covariance: Array  # (n, n), in the units of the parameters
     assumes: str  # what the standard errors assume
-    intervals: Mapping[str, str] = field(default_factory=dict)  # kind of interval -> what of them
+    intervals: Mapping[str, str] = field(default_factory=dict)  # kind -> what it assumes
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,8 +236,8 @@ class Trust:
     """What else bears on the trust in an estimate."""
 
     evidence: Mapping[str, str] = field(default_factory=dict)  # what was looked at -> sentence
-    suspects: tuple[str, ...] = ()  # of the record: a channel with the wrong sign, and its remedy
-    not_done: tuple[str, ...] = ()  # what the budget of time left no time for
+    suspects: tuple[str, ...] = ()  # channels or terms with the wrong sign, each with its remedy
+    not_done: tuple[str, ...] = ()  # what the budget left no time for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -280,7 +278,13 @@ class Estimate(Presented, Saved):
         return self.parameter(name).value
 
     def parameter(self, name: str) -> Estimated:
-        """The parameter or initial state called `name`."""
+        """The parameter or initial state called `name`.
+
+        Raises
+        ------
+        UnknownNameError
+            With the names that there are.
+        """
         for p in (*self.parameters, *self.initial_states):
             if p.name == name:
                 return p
@@ -375,7 +379,11 @@ class Estimate(Presented, Saved):
     ) -> Sampled:
         """Draws of N(theta, P) through any nonlinear map, with the share of invalid draws.
 
-        `function` takes a mapping of parameter names to values.
+        Parameters
+        ----------
+        function : takes parameter -> value, each in its unit; returns one number or several.
+        draws, seed : how many draws, and of which seed.
+        valid : whether a draw's values count; default all that are finite.
         """
         known = {p.name: p.value for p in self.parameters}
         # Inner nodes of multiple shooting are no parameters.

@@ -1,4 +1,4 @@
-"""An input that keeps the limits where doing nothing does not: a room that has to be heated.
+"""An input that keeps the limits where the input at rest does not: a room that has to be heated.
 
 First the limits are relaxed by as little as possible; where they need not be, the input is found
 that stays as far from all of them as it can. Amplitudes of standard inputs are measured from it.

@@ -1,4 +1,4 @@
-"""The next experiment, designed: an input under limits that answers a question soonest."""
+"""The design of the next experiment: the input under limits that answers a question soonest."""
 
 from __future__ import annotations
 
@@ -75,6 +75,12 @@ def design_experiment(
     progress : called with a line of text before what may take seconds.
     options : by name, those of `casid.DesignOptions`: shape of the input, slew rates, energies,
         initial state, noise, sizes of the causes, scenarios, effort.
+
+    Returns
+    -------
+    DesignedExperiment
+        The input, the outputs and the power or standard errors that are predicted of it, and what
+        it gains over standard inputs.
 
     Raises
     ------
@@ -402,8 +408,8 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
             held = search.setup.nominal.acting.shown(name, search.setup.constants[name])
             unit = search.setup.nominal.acting.unit_of(name)
             notes.append(
-                f"{name}, which nobody measures, is taken as {held:.4g} {unit} while the record "
-                "lasts. The sensor that it was eliminated with takes up whatever it does."
+                f"{name}, which is not measured, is assumed to be {held:.4g} {unit} throughout the "
+                "record. The sensor that it was eliminated with shows what it does."
             )
     notes += [*_other_courses(search.setup), *_too_few(search)]
     for effect, several in zip(search.question.effects, search.question.every_size, strict=True):

@@ -77,7 +77,7 @@ _TIMES = {"s": (1.0, 1e4), "h": (3600.0, 172_800.0), "days": (86_400.0, 3.2e9)}
 
 
 def time_text(seconds: float) -> str:
-    """A length of time as people read it: seconds, hours or days."""
+    """A duration in words: seconds, hours or days."""
     for unit, (length, longest) in _TIMES.items():
         if seconds < longest:
             return f"{seconds / length:.4g} {unit}"
@@ -104,7 +104,7 @@ def _cause_words(name: str, law: str) -> str:
 
 
 def words_of(found: DesignedExperiment, name: str) -> str:
-    """A hypothesis of a design as an engineer says it, by its name in records and outcomes."""
+    """A hypothesis of a design in words, by its name in records and outcomes."""
     return hypothesis_words(name, found.details.get("laws", {}))
 
 
@@ -155,7 +155,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What the experiment says of one parameter, in `unit`.
+    """What the experiment is expected to determine of one parameter, in `unit`.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ class Learned:
 
 @dataclass(frozen=True, slots=True)
 class LimitUse:
-    """A limit and what is taken of it at ten times the sampling rate, in `unit`."""
+    """A limit and how far it is used at ten times the sampling rate, in `unit`."""
 
     name: str
     unit: str

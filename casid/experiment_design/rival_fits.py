@@ -31,7 +31,7 @@ def record_of(
 ) -> Record:
     """Outputs `y` (N, ny) with the inputs, as a record for the model of a rival.
 
-    `measured` are channels (N,) that stand for inputs which nobody measures.
+    `measured` are channels (N,) that stand for unmeasured inputs.
     """
     setup = prediction.setup
     columns = setup.columns(rival, u, setup.Ts, measured)

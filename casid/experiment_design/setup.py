@@ -1,4 +1,4 @@
-"""The set-up of an experiment: model, nominal values, noise, what acts and how it starts."""
+"""The set-up of an experiment: model, nominal values, noise, inputs and initial state."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Nominal:
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """Inputs that nobody measures, which the model has eliminated."""
+        """Unmeasured inputs, which the model has eliminated."""
         return tuple(self.model.eliminated_units)
 
 
@@ -206,7 +206,7 @@ class Setup:
     ) -> Array:
         """(N, inputs) of a model under the designed inputs `u` (N, nu).
 
-        `measured` are channels (N,) that stand for inputs which nobody measures.
+        `measured` are channels (N,) that stand for unmeasured inputs.
         """
         others = self.others(model, Ts * np.arange(len(u)), measured or {})
         place = {n: i for i, n in enumerate(self.designed)}

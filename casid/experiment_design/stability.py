@@ -1,7 +1,7 @@
-"""Whether an input that is planned in advance can hold a system where its limits want it.
+"""Whether an open-loop input can keep a system within its limits.
 
-Near an unstable equilibrium what the plan does not know (the last digit of the start, a draught)
-grows by exp(lambda t), and what a design predicts is not what will be recorded.
+Near an unstable equilibrium what the input cannot correct (the last digit of the initial state, a
+draught) grows by exp(lambda t), and what is recorded is not what a design predicts.
 """
 
 from __future__ import annotations

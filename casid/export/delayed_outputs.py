@@ -1,10 +1,10 @@
 """Delays of sensors in the step of a sampled model: past outputs as a memory, interpolated.
 
 A fit delays a simulated column by cubic convolution (`delay_columns`): the delayed output is a sum
-of four samples around the instant at which it was felt. A step keeps as many past samples as that
-takes and gives the same sum. Before its first sample a column goes on along the straight line
-through its first two samples, which the memory learns in the first step; that of an output that
-was at rest is level.
+of four samples around the instant at which it was sensed. A step keeps as many past samples as
+that takes and gives the same sum. Before its first sample a column is on the straight line through
+its first two samples, with which the first step fills the memory; an output that was at rest is
+constant there.
 """
 
 from __future__ import annotations

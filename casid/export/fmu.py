@@ -38,8 +38,8 @@ def write_fmu(fitted: FittedModel, path: Path, *, without_delays: bool = False) 
 
     Variables are named as in the model and in SI units; parameters are tunable, initial states can
     be set. In co-simulation with the sample time as communication step, and with the derivatives of
-    the inputs where those are joined by straight lines, it goes the very steps of the fit. Where
-    sensors or inputs are delayed there is co-simulation alone, by whole samples.
+    the inputs where those are joined by straight lines, it takes the same steps as the fit.
+    Where sensors or inputs are delayed there is co-simulation alone, by whole samples.
 
     Raises
     ------

@@ -4,11 +4,11 @@ A cause that is there shows in a record with probability a, one that is not ther
 record of the asset, in order of time, that shows it counts log(a / b), each that could show it and
 does not log((1 - a) / (1 - b)), and one without an outcome 0. The findings are the stretches of
 maximal sum (Ruzzo and Tompa, ISMB 1999, 234-241: all of them in linear time), which are the most
-likely stretches in which the cause was there. An onset is not excluded where the sum of the stretch
-that begins there is less than the largest by no more than chi^2(1) / 2 has it.
+likely stretches in which the cause was there. The 95 % interval of an onset holds all starts from
+which the sum to the stretch's end is less than the largest by at most chi^2(1) / 2 = 1.92.
 
-Causes that a record does not separate are one: what most records of the asset may have gives the
-finding its name.
+Causes that a record does not separate are one finding, named after the one that is possible in most
+records of the asset.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ class _Stretch:
 
 
 def scores(records: Sequence[Outcome], shown: set[int]) -> list[float]:
-    """What each record counts for a cause that `shown` show."""
+    """(n,) log-likelihood ratios of the records, of which `shown` (places) show a cause."""
     a, b = GROUPING.shown, GROUPING.by_chance
     yes, no = math.log(a / b), math.log((1 - a) / (1 - b))
     return [yes if i in shown else no * r.has_answer for i, r in enumerate(records)]

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, TypedDict, Unpack
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
@@ -22,7 +22,13 @@ from casid.errors import DataError
 from casid.fleets.false_discoveries import SOURCES as RATE_SOURCES
 from casid.fleets.false_discoveries import false_alarms_per_month
 from casid.fleets.findings import Finding, Key, findings_of
-from casid.fleets.fleet_settings import REFERENCES, FleetSettings, Reference, reference_of
+from casid.fleets.fleet_settings import (
+    REFERENCES,
+    FleetOptions,
+    FleetSettings,
+    Reference,
+    reference_of,
+)
 from casid.fleets.fleet_table import (
     CAUSES,
     PARAMETERS,
@@ -202,29 +208,8 @@ class Fleet(Presented):
 
 
 def words_of(found: Fleet, key: Key) -> str:
-    """A cause of a fleet as an engineer says it: dry friction, or the voltage that has its law."""
+    """A cause of a fleet in words: dry friction, or the voltage that has its law."""
     return effect_words(*key, description=found.laws.get(key, ""))
-
-
-class FleetOptions(TypedDict, total=False):
-    """Options of `fleet` beside its records; the attributes of `FleetSettings` have their meaning.
-
-    budget, memory : seconds and megabytes that one record may take; one that takes more has a row
-        that says so.
-    """
-
-    level: float
-    screen: bool
-    budget: float
-    memory: float
-    hold_out: float
-    max_causes: int
-    without: Iterable[str]
-    starts: int | None
-    seed: int
-    mapping: Mapping[str, str]
-    window: tuple[float, float] | None
-    ignore: Iterable[str]
 
 
 @names_wrong_types()
@@ -241,9 +226,9 @@ def fleet(
 ) -> Fleet:
     """Diagnose every record of a fleet, and control the errors over all of them.
 
-    Runs where `joblib.parallel_config` says: one process by default. The same table, bit for bit,
-    whatever is chosen there, and however often it was stopped. New records are done when the same
-    call is repeated, the old ones are not done again.
+    Runs on the backend of `joblib.parallel_config`, by default in one process. The table is the
+    same to the last bit whatever the backend, and however often the call was interrupted. Repeated,
+    the same call diagnoses only records that are new.
 
     Parameters
     ----------
@@ -258,6 +243,11 @@ def fleet(
     resume : False begins anew, and deletes what `out` holds of a fleet.
     progress : as `casid.campaign` has it.
     options : those of `FleetOptions`.
+
+    Returns
+    -------
+    Fleet
+        Tables of records and causes, findings over assets and time, and parameters over the fleet.
 
     Raises
     ------
@@ -328,7 +318,7 @@ class _Run:
         }
 
     def done(self, files: Sequence[RecordFile], *, resume: bool) -> Fleet:
-        """Do what is left to do, and put everything together."""
+        """Diagnose the records that are left, and return the result over all."""
         if self.folder is not None:
             _require_folder(self.folder)
             if not resume:
@@ -355,7 +345,7 @@ class _Run:
             settings=self.described,
             progress=self.progress,
         )
-        return self._together(listed, rows.table, len(rows.table) - rows.found, rows.not_done)
+        return self._result(listed, rows.table, len(rows.table) - rows.found, rows.not_done)
 
     def _sub(self, name: str) -> Path | None:
         return None if self.folder is None else self.folder / name
@@ -411,7 +401,7 @@ class _Run:
             with replacing(path, is_synced=True) as file:
                 file.write(content.encode())
 
-    def _together(self, listed: RecordList, rows: Any, new: int, not_done: int) -> Fleet:
+    def _result(self, listed: RecordList, rows: Any, new: int, not_done: int) -> Fleet:
         """Rates, findings and effects of all rows; the tables are kept in the folder."""
         from casid.versions import versions
 

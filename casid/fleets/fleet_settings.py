@@ -1,13 +1,13 @@
-"""How the records of a fleet are worked on: settings, references, and the row of an outcome.
+"""How the records of a fleet are processed: settings, references, and the row of an outcome.
 
 Processes that only hand out records load this and none of the diagnosis.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -51,6 +51,27 @@ class FleetSettings:
         if not isinstance(self.without, str):  # one text is refused, with what to write instead
             object.__setattr__(self, "without", tuple(self.without))
         object.__setattr__(self, "mapping", dict(self.mapping))
+
+
+class FleetOptions(TypedDict, total=False):
+    """Options of `fleet` beside its records; the attributes of `FleetSettings` have their meaning.
+
+    budget, memory : seconds and megabytes that one record may take; one that takes more is
+        refused, and its row says why.
+    """
+
+    level: float
+    screen: bool
+    budget: float
+    memory: float
+    hold_out: float
+    max_causes: int
+    without: Iterable[str]
+    starts: int | None
+    seed: int
+    mapping: Mapping[str, str]
+    window: tuple[float, float] | None
+    ignore: Iterable[str]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ maximise the restricted likelihood (Patterson and Thompson, Biometrika 58 (1971)
 meta-analysis Viechtbauer, J. Educ. Behav. Stat. 30 (2005) 261-293): DerSimonian and Laird's model
 (Control. Clin. Trials 7 (1986) 177-188) with a level more and a drift. mu and beta are generalised
 least squares, u_i and v_i the best linear unbiased predictions, which are shrunk towards the fleet
-by what their own records say little of (Robinson, Stat. Sci. 6 (1991) 15-32).
+the more, the less their own records determine them (Robinson, Stat. Sci. 6 (1991) 15-32).
 """
 
 from __future__ import annotations

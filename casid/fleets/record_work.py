@@ -1,7 +1,7 @@
-"""What is done of one record: read, screened, searched; the outcome is one flat row.
+"""The work on one record: it is read, screened and searched; the outcome is one flat row.
 
-A row depends on the record, the problem, the settings and the asset's reference alone: the same
-wherever and whenever it is made, so that nothing of it (no time taken, no machine) says where.
+A row depends on the record, the problem, the settings and the asset's reference alone. It holds no
+time taken and no machine, so that it is the same wherever and whenever it is made.
 """
 
 from __future__ import annotations

@@ -1,20 +1,20 @@
-"""Screening: score tests at a fit to the asset's first records say which to search.
+"""Screening: score tests at a fit to the asset's first records decide which are searched.
 
 A full search fits the model from several starts, estimates its noise in rounds and refits
-candidates. Where nothing is missing that is wasted. The asset's reference has all that does not
+candidates, which is wasted where nothing is missing. The asset's reference has all that does not
 depend on a record's noise: parameters near those of the record, the catalogue scaled to its
 signals, and the extended model as functions. What is left for a record is a few Gauss-Newton steps
 to its own optimum, its noise, and the scores of the catalogue, which are those of the diagnosis.
 
-Where much of a record is explained by neither sensors nor measured inputs, it may be a sea or a
-cause. Its scores are computed under the noise that takes all of it for disturbances, and where that
-is not white at the parameters that are likeliest under it (`disturbance_likelihood`): right in a
-sea, but it may absorb a cause. So the effects that score best are taken out of the residual as
-well: a cause leaves less for disturbances to explain, by a likelihood ratio with one degree of
-freedom. A line in a sea is judged by its nearest neighbours alone: no family of spectra follows the
-narrow peak of a sea everywhere. A record is searched whatever its scores where they cannot speak
-for it: its channels are others, its own fit is not found or held by a bound, samples are spoilt or
-too few, or its outputs are noise alone.
+Where much of a record is explained by neither sensors nor measured inputs, it may be a random
+disturbance (a sea) or a cause. Its scores are computed under the noise that takes all of it for
+disturbances, and where that is not white at the parameters that are likeliest under it
+(`disturbance_likelihood`): right in a sea, but it may absorb a cause. So the effects that score
+best are taken out of the residual as well: a cause leaves less for disturbances to explain, by a
+likelihood ratio with one degree of freedom. A line in a sea is judged by its nearest neighbours
+alone: no family of spectra follows the narrow peak of a sea everywhere. A record is searched
+whatever its scores where they do not represent it: its channels are others, its own fit is not
+found or held by a bound, samples are spoilt or too few, or its outputs are noise alone.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Work in a process of its own, which is ended where it takes more than its budget.
 
-A limit that the work itself looks at ends no simulation that never returns, and no allocation: the
-process that supervises ends both. It starts the process once and hands it task after task, so that
+A limit that the work checks itself ends neither a simulation that never returns nor an allocation;
+the supervising process ends both. It starts the process once and hands it task after task, so that
 what the tasks keep (a loaded problem, functions that were built) is built once. Functions are given
 by name: their libraries are loaded in that process alone, before the time of a task begins.
 """
@@ -209,7 +209,7 @@ def serve() -> None:
             answer = pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
         try:
             _send(answers, answer)
-        except OSError:  # nobody supervises any more
+        except OSError:  # the supervisor has ended
             return
 
 

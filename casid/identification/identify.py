@@ -57,13 +57,13 @@ def identify(
     settings : of the fit: number of starts, solver, seed, constraints; `FitSettings`.
     start : start values by variable name, over the model's own, in the units that it declares.
     budget : seconds that the estimate may take; by default from the number of samples and unknowns
-        (`FIT_BUDGET`), profiles not requested a part of it. What no time is left for is in
-        `not_done`; an unfinished fit gives its best point, without errors and not converged.
+        (`FIT_BUDGET`); profiles that are not requested get a part of it. What is not done in time
+        is in `not_done`; an unfinished fit gives its best point, without errors, not converged.
     intervals : "auto": normal, and by the profile of the criterion for parameters at a bound or
-        where the criterion is not the parabola that a normal interval takes it for (the numbers
-        are in `QUADRATIC_TEST`); "quick": normal; "profile"; "bootstrap": from simulated records.
+        where the criterion is not the parabola that a normal interval assumes (the limits are in
+        `QUADRATIC_TEST`); "quick": normal; "profile"; "bootstrap": from simulated records.
         Those of instruments are normal.
-    disturbances : as "torque:peak": in a balance, a state or an input that nobody measures;
+    disturbances : as "torque:peak": in a balance, a state or an unmeasured input, of spectrum
         "white", "first" (order) or "peak"; by the prediction error of a Kalman filter. What is held
         out is then predicted one sample ahead; no interval is bootstrapped.
     starts : of the fit, as in `diagnose`; default that of `settings`, or of the problem.
@@ -78,11 +78,11 @@ def identify(
         of the error that each leaves, the maximum of the likelihood for noise of unknown sizes.
         Where noise on measured inputs (those not declared `known`) biases least squares, the
         estimate is without that bias, and `method` and `evidence` say so; where that, or feedback,
-        cannot be removed and the problem has an `external` signal, it is by instruments. Of an
-        unstable model that is pushed at random it is with the disturbances, by prediction error,
-        and `evidence` says so under "disturbances". Where the
-        fit is poor, `suspects` names a channel that was probably recorded with the wrong sign, or a
-        term that makes the model unstable by its sign.
+        cannot be removed and the problem has an `external` signal, it is by instruments. An
+        unstable model under random disturbances is estimated together with them, by prediction
+        error; `evidence` has them under "disturbances". Where the fit is poor, `suspects` names a
+        channel that was probably recorded with the wrong sign, or a term that makes the model
+        unstable by its sign.
 
     Raises
     ------
@@ -142,8 +142,8 @@ def identify(
 def _estimate(task: Task, disturbances: Sequence[Disturbance]) -> Estimate:
     """The estimate by the criterion that suits the model and its disturbances.
 
-    By prediction error with the disturbances that are requested, or with those that show where an
-    unstable model is pushed; by simulation error in all other cases.
+    By prediction error with the disturbances that are requested, or with those that the residual of
+    an unstable model shows; by simulation error in all other cases.
     """
     if disturbances:
         return identify_disturbed(task, disturbances)
@@ -157,14 +157,20 @@ def _estimate(task: Task, disturbances: Sequence[Disturbance]) -> Estimate:
 
 
 def _structure(task: Task, disturbances: Sequence[Disturbance]) -> str:
-    """What the equations determine, in words; a refusal where not all that is sought."""
+    """What the equations determine, in words.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If they do not determine all parameters that are to be estimated.
+    """
     problem, settings = task.problem, task.settings
     if settings.constraints:
         return "not checked, as there are constraints"
     model, condition = problem.model, ""
     if any(d.place in model.inputs for d in disturbances):
         model = with_known_noise(model, disturbances)
-        condition = "if the noise were known that drives what nobody measures: "
+        condition = "if the noise that drives unmeasured inputs were known: "
     return condition + require_identifiable(
         model, task.split.fitted, own=settings.own, problem=problem, progress=task.say
     )
@@ -175,7 +181,13 @@ def _disturbances(
     settings: FitSettings,
     intervals: str,
 ) -> list[Disturbance]:
-    """The disturbances, and a refusal of what is not done with them."""
+    """The disturbances that are requested.
+
+    Raises
+    ------
+    DataError
+        For options that cannot be combined with them.
+    """
     given = [disturbances] if isinstance(disturbances, str) else list(disturbances)
     for name, is_given in (
         ("segments (--segments)", settings.segments > 1),
@@ -191,7 +203,7 @@ def _disturbances(
 
 
 def _cut_off(estimate: Estimate) -> Estimate:
-    """The estimate with what no time was left for; without errors where the fit is no minimum."""
+    """The estimate with a warning of what was not done; without errors if it is no minimum."""
     warnings = (out_of_time_text(estimate.not_done), *estimate.warnings)
     estimate = replace(estimate, warnings=warnings)
     if estimate.is_converged:

@@ -26,7 +26,7 @@ class ShortWindows:
 
     Attributes
     ----------
-    samples : of a window, the longest that tells of every unknown, and no longer than a few of
+    samples : of a window, the longest that determines every unknown, and no longer than a few of
         those over which the model follows the records: it diverges from them in longer ones, where
         its fit is led far astray.
     values : the parameters of a fit in windows, by variable name; none where no fit was found.

@@ -117,7 +117,7 @@ def _fit(task: Task, unstable: InWindows | None) -> tuple[Fit, WrongSign | Wrong
 
 
 def _is_found_without_noise(task: Task, fit: Fit) -> bool:
-    """Whether noise on the inputs hides the minimum, but not the estimate without it."""
+    """Whether the estimate without the bias of input noise is found where no minimum was."""
     if fit.solution.is_converged or fit.not_done:
         return False
     return without_input_noise(fit, task.problem.noise, seed=task.settings.seed).is_removed

@@ -109,9 +109,13 @@ class Model(NamedQuantities, Viewed):
     ) -> None:
         """State that inertia * d(rate)/dt = sum(terms); missing effects enter such balances.
 
-        `unit` of the terms, any of their dimension, in which what acts there is shown; by default
-        that of a term that is a signal, or of a balance stated before, of an angle's rate with the
-        inertia 1 its own unit over s, else the SI unit of most terms and inertia times d(rate)/dt.
+        Parameters
+        ----------
+        rate : the state whose derivative the balance determines.
+        inertia, terms : expressions in SI.
+        unit : in which terms are shown, any of their dimension. Default, the first that applies:
+            the unit of a term that is a signal alone; that of an earlier balance of this dimension;
+            for an angle, the rate's own unit over s; the SI unit that most terms have.
         """
         state = self._state_name(rate)
         self._require_no_equation(state)
@@ -216,13 +220,13 @@ class Model(NamedQuantities, Viewed):
             measured, residual = self._symbols[gone.output], gone.residual
             for stage in new.stages:
                 if stage.channel == gone.output and stage.kind in SENSED:
-                    # The output itself is late now; what carried the tangent goes.
+                    # Now the output itself is delayed; the input that carried the tangent goes.
                     residual = ca.substitute(residual, self._symbols[stage.carrier], 0)
                     del new.inputs[stage.carrier]
                     late = replace(stage, kind=SENSED[stage.kind])
                     new.stages = tuple(late if s is stage else s for s in new.stages)
             for blend in new.inputs[gone.output].blends:
-                # An output has no course between its samples: the blend has nothing left to do.
+                # Between its samples an output has no values that a blend could change.
                 p = new.parameters[blend.parameter]
                 new.parameters[blend.parameter] = replace(p, value=p.nominal)
             slope_of = ca.jacobian(residual, measured)
@@ -250,7 +254,7 @@ class Model(NamedQuantities, Viewed):
         return self._symbols[output]
 
     def extend(self, effect: Extension) -> Model:
-        """A copy of this model with `effect` in it; the effect's parameters start at null."""
+        """A copy of this model with `effect` in it; its parameters start at their null values."""
         return effect.extend(self)
 
     def with_known(self, **values: float) -> Model:
@@ -437,13 +441,13 @@ class Model(NamedQuantities, Viewed):
 
     @property
     def shown_units(self) -> dict[str, str]:
-        """`declared_units`, and those of balances that have no other thing's name."""
+        """`declared_units`, with those of balances whose name no other quantity has."""
         taken = {*self.symbol_units, *self.outputs}
         named = {b.name: b.declared for b in self.balances.values() if b.declared}
         return {n: u for n, u in named.items() if n not in taken} | self.declared_units
 
     def _unit_of_signal(self, terms: Sequence[Expr], si: str) -> str:
-        """That of the first term that is a signal as it is, of another balance, or `si`."""
+        """The unit of the first term that is a signal alone; else of another balance; else `si`."""
         for term in terms:
             bare = term.dep(0) if term.is_op(ca.OP_NEG) else term
             name = bare.name() if bare.is_symbolic() else ""

@@ -89,7 +89,9 @@ def test_an_unmeasured_input_that_is_not_designed_is_taken_as_zero_and_said_to_b
     problem = casid.Problem("driven", m.eliminate("a", using="accel"), noise={"gyro": 0.01})
     found = casid.design_experiment(problem, Aim.estimate(), {"u": (-1, 1)}, 6.0, **SMALL)
     assert found.gain >= 1.0
-    assert any(note.startswith("a, which nobody measures, is taken as 0") for note in found.notes)
+    assert any(
+        note.startswith("a, which is not measured, is assumed to be 0") for note in found.notes
+    )
 
 
 def test_an_input_that_would_make_the_sensor_jump_is_refused() -> None:
