@@ -90,7 +90,7 @@ def _refuse_problems(sources: list[Source]) -> None:
 
 def _checked(source: Source, request: Request, problem: Problem | None) -> CheckReport:
     from casid.data.quality import check as run
-    from casid.data.reading.columns import ColumnSpec, as_headed
+    from casid.data.reading.columns import ColumnSpec
     from casid.data.reading.record_file import column_names
 
     columns: dict[str, ColumnSpec] | None = None
@@ -104,13 +104,7 @@ def _checked(source: Source, request: Request, problem: Problem | None) -> Check
         texts = {m.signal: m.text for m in mapping.values()}
         columns = problem.columns(texts)
         with contextlib.suppress(DataError):  # reported by the check itself
-            there = column_names(source.path, form)
-            columns = as_headed(there, columns)
-            columns = {
-                signal: spec
-                for signal, spec in columns.items()
-                if signal not in problem.recorded or signal in texts or spec.column in there
-            }
+            columns = problem.columns_in(column_names(source.path, form), texts)
     elif mapping:
         if TIME in mapping:
             time = time_column(mapping.pop(TIME))

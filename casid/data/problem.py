@@ -212,6 +212,21 @@ class Problem(Presented):
             specs[signal] = ColumnSpec(column or signal, unit or None, target)
         return specs
 
+    def columns_in(
+        self, there: Collection[str], mapping: Mapping[str, str] | None = None
+    ) -> dict[str, ColumnSpec]:
+        """`columns` as a file with the columns `there` has them.
+
+        Without those of channels beside the model's, and of their sources, that the file lacks.
+        """
+        needed = {*self.model.inputs, *self.model.outputs}
+        for name, entry in self.derived.items():
+            if name in needed:
+                needed |= set(entry.sources)
+        needed |= set(mapping or {})
+        specs = as_headed(list(there), self.columns(mapping))
+        return {n: spec for n, spec in specs.items() if n in needed or spec.column in there}
+
     def _channel_units(self) -> dict[str, str]:
         """The declared unit of every channel: the model's, those beside it, and sources."""
         units: dict[str, str] = {}
@@ -301,8 +316,7 @@ class Problem(Presented):
     ) -> tuple[Record, dict[str, str]]:
         """The record of an open table, and its channels that the problem does not use."""
         table = on_one_clock(table, self.time)
-        headed = as_headed(table.columns, self.columns(mapping))
-        specs = self._present(table.columns, headed, mapping or {})
+        specs = self.columns_in(table.columns, mapping)
         unused = self._unused(table, specs, ignore)
         held = [name for name, entry in self.model.inputs.items() if entry.hold == "zoh"]
         record = record_of(table, {**specs, **unused.specs}, replace(options, held=held))
@@ -360,21 +374,6 @@ class Problem(Presented):
             if name in signals or all(source in record for source in entry.sources)
         }
         return derive(record, wanted, self.in_si().noise)
-
-    def _present(
-        self, columns: Sequence[str], specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
-    ) -> dict[str, ColumnSpec]:
-        """The columns to read, without those of channels beside the model's that the file lacks."""
-        there = set(columns)
-        signals = {*self.model.inputs, *self.model.outputs}
-        for name, entry in self.derived.items():
-            if name in signals:
-                signals |= set(entry.sources)
-        return {
-            signal: spec
-            for signal, spec in specs.items()
-            if signal in signals or signal in mapping or spec.column in there
-        }
 
     def experiment(
         self,

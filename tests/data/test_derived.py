@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import casid
+from casid.cli.main import main
 from casid.data.derived import Derived, derive, propagated_noise
 from casid.data.example_files import write_examples
 from casid.data.local_polynomial import LocalPolynomial
@@ -202,6 +205,18 @@ def test_a_derived_channel_beside_the_model_is_left_out_where_its_sources_are_ab
         table(tmp_path, heading=np.full(200, 0.5)), mapping={"heading": "heading:"}
     )
     assert np.all(there.record["twice"] == 1.0)
+
+
+def test_check_requires_no_source_that_reading_does_without(tmp_path, monkeypatch):
+    """It checks the columns that `Problem.read` reads: sources of channels beside are optional."""
+    beside = Derived("rad", {"heading": "rad"}, lambda r: 2 * r["heading"])
+    problem = dataclasses.replace(
+        cart(), recorded={"twice": "rad"}, derived={"a": ENTRY, "twice": beside}
+    )
+    monkeypatch.setattr(importlib.import_module("casid.cli.check"), "load", lambda path: problem)
+    checked = CliRunner().invoke(main, ["check", str(table(tmp_path)), "--problem", "stream.py"])
+    assert (checked.exit_code, checked.stderr) == (0, "")
+    assert list(problem.columns_in(["t", "v_kn", "w"])) == ["v", "w"]
 
 
 def test_a_record_in_hand_gets_its_derived_channels_too():
