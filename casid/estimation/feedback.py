@@ -23,7 +23,7 @@ def inputs_without_feedthrough(model: Model, output: str) -> list[str]:
 
 
 def one_sample_late(values: Array) -> Array:
-    """(N, ...) what a sample feels of an input that reaches it through states alone."""
+    """(N, ...) what acts on a sample of an input that reaches it through states alone."""
     return np.concatenate([values[:1], values[:-1]])
 
 

@@ -188,7 +188,7 @@ def _again(before: _Answer, limits: Limits, aim: Aim, duration: float, o: Design
 
 
 def _setup(nominal: Nominal, limits: Limits, duration: float, o: DesignOptions) -> Setup:
-    """What is done in the experiment, but for the values that are sought."""
+    """The experiment but for the values of the decision variables."""
     model = nominal.acting
     excitation = _excitation(nominal, limits, duration, o)
     designed = tuple(n for n in model.inputs if n in limits.inputs)
@@ -226,13 +226,13 @@ def _excitation(nominal: Nominal, limits: Limits, duration: float, o: DesignOpti
             f"samples, and a design simulates {DURATION.samples:g} at most; give a shorter "
             "duration or a longer sample time (Ts, --sample-time)"
         )
-    felt = [n for n in nominal.unmeasured if n in limits.inputs]
-    shape = o["shape"] or ("linear" if limits.slew or felt else "constant")
-    if felt and shape == "constant":
+    unmeasured = [n for n in nominal.unmeasured if n in limits.inputs]
+    shape = o["shape"] or ("linear" if limits.slew or unmeasured else "constant")
+    if unmeasured and shape == "constant":
         raise DataError(
-            f"a piecewise constant {felt[0]} jumps, and so would the channel that stands for it in "
-            "the model, which is known at its samples alone; take shape='linear' or 'multisine' "
-            "(--shape)"
+            f"a piecewise constant {unmeasured[0]} jumps, and so would the channel that stands for "
+            "it in the model, which is known at its samples alone; take shape='linear' or "
+            "'multisine' (--shape)"
         )
     if o["band"] and shape != "multisine":
         raise DataError(
@@ -282,7 +282,7 @@ def _held(
 
 def _cheapest(search: Search, aim: Aim, best: Found) -> Found:
     """The input of least energy that still determines every parameter well enough."""
-    floor = -2 * np.log(aim.relative_error)
+    floor = required_score(aim)
     if best.least < floor:
         worst = int(np.argmin(best.scores))
         h = best.prediction.hypotheses[0]

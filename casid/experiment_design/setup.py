@@ -130,7 +130,7 @@ def _errors(result: Any, model: Model) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """What is done in the experiment, but for the values that are sought; SI units.
+    """The experiment but for the values of the decision variables; SI units.
 
     Attributes
     ----------

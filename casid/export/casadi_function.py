@@ -92,8 +92,8 @@ def _with_delays(plain: PlainModel, s: Symbols, results: Sequence[Any], past: An
     (x_next,) = ca.substitute([x_next], [s.u, s.u_next], [begin, end])
     (y_next,) = ca.substitute([y], [s.x, s.u, s.t], [x_next, later, s.t + plain.Ts])
     dx, y = ca.substitute([dx, y], [s.u], [now])
-    y, felt = delayed(y, y_next, past, has_begun, plain.sampled_delays)
-    return [dx, y, x_next, ca.vertcat(*felt, *given, 1.0)]
+    y, kept = delayed(y, y_next, past, has_begun, plain.sampled_delays)
+    return [dx, y, x_next, ca.vertcat(*kept, *given, 1.0)]
 
 
 def write_casadi(fitted: FittedModel, path: Path, *, without_delays: bool = False) -> Path:

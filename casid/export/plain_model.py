@@ -2,8 +2,8 @@
 
 What sensors and actuators do to whole columns becomes part of the equations where that is possible:
 a limit is a minimum and a maximum, a first-order lag a state. A delay is no equation; that of a
-sensor or of a command stays apart. What a sensor did to the record of an input (it was late, it
-lagged) does not concern what acts, so the input here is what acted.
+sensor or of a command stays apart. A delay or lag in the record of an input is not part of the
+equations: their input is what acted on the system.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class PlainModel:
     Ts, substeps : sample time [s] and Runge-Kutta steps a sample.
     delays : output -> delay of its sensor [s]; the model's output is what arrives at the sensor.
     dead_times : input -> how much later it acts [s]; the model's input is what acts.
-    rest : what was before the first sample, of a model that begins in a known rest.
+    rest : inputs and outputs before the first sample, of a model that begins in a known rest.
     notes : what a user of the equations should know.
     """
 
@@ -116,7 +116,7 @@ class PlainModel:
 
     @property
     def memory_size(self) -> int:
-        """Numbers that a step keeps: outputs and inputs past, and if there was a sample before."""
+        """Numbers that a step keeps: past outputs and inputs, and 1 after the first sample."""
         kept = [d.kept for d in self.sampled_delays] + [d.kept for d in self.sampled_dead_times]
         return sum(kept) + 1 if kept else 0
 
@@ -334,9 +334,11 @@ class _Stages:
         start = ca.Function("y", [e.x, e.u, e.p], [e.h[e.outputs.index(stage.channel)]])
         x0 = [self.initial[s] for s in e.states]
         p = [self.values[n] for n in e.parameters]
-        felt = self._state(f"{stage.channel}_felt", unit, float(start(x0, [0] * e.u.numel(), p)))
-        model.derivative(felt, (expression - felt) / model.symbol(stage.parameter))
-        model.replace_output(stage.channel, felt, unit)
+        sensed = self._state(
+            f"{stage.channel}_sensed", unit, float(start(x0, [0] * e.u.numel(), p))
+        )
+        model.derivative(sensed, (expression - sensed) / model.symbol(stage.parameter))
+        model.replace_output(stage.channel, sensed, unit)
         self.lags.append(self.values[stage.parameter])
 
     def _lag_input(self, stage: Stage) -> None:

@@ -68,7 +68,7 @@ class ExtendedFilter:
 
     Parameters
     ----------
-    places : of the noise; none of it held, and no output that feels process noise at once.
+    places : of the noise; none of it held, none of the process acting on an output directly.
     Ts : sample time [s].
     seeds : (values, n) derivatives of the values in what a run is differentiated in. The values are
         those of all parameters of the model, then the variances of `places.sources`.
@@ -77,7 +77,7 @@ class ExtendedFilter:
     Raises
     ------
     ModelError
-        For noise that is held, or that an output feels at once; sensors with delays or clipping.
+        For noise that is held, or that acts on an output directly; sensors with delays or clipping.
     """
 
     def __init__(self, places: NoisePlaces, Ts: float, seeds: Array, *, substeps: int = 1) -> None:

@@ -54,8 +54,8 @@ class ExtendedPredictionError:
     Raises
     ------
     ModelError
-        For noise that is missing, held or enters nowhere, or that an output feels at once; sensors
-        with delays or clipping; a start for what is no variable.
+        For noise that is missing, held or enters nowhere, or that acts on an output directly;
+        sensors with delays or clipping; a start for what is no variable.
     DataError
         For channels that are missing.
     """

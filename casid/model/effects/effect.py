@@ -332,7 +332,7 @@ def extend_all(model: Model, effects: Sequence[Effect]) -> tuple[Model, list[Any
     """A model with many effects at their null values, and each effect's first parameter name.
 
     The first parameter is held at null where that spares work: no sample is lost to a delay's
-    run-in, and states that nothing feels yet need no sensitivities.
+    run-in, and states on which nothing depends yet need no sensitivities.
     """
     new, names = model, []
     for n, effect in enumerate(effects, 1):

@@ -23,8 +23,8 @@ def check_effects(model: Model, effects: Sequence[Effect]) -> None:
     ------
     ModelError
         If a kind is no name, or one of the catalogue's for another thing; a place does not exist;
-        an effect has no parameter; the extended model at its null value is not the model, or feels
-        nothing of the parameter there; units do not agree; two effects share kind and place.
+        an effect has no parameter; the extended model at its null value is not the model, or does
+        not depend on the parameter there; units do not agree; two effects share kind and place.
     """
     seen: set[tuple[str, str]] = set()
     for effect in effects:

@@ -227,7 +227,7 @@ def rivals_of(
     """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6)).
 
     Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence, and
-    ten, "very strong", are asked of a function without a name against an effect that has one; where
+    ten, "very strong", are required of a function without a name against an effect with one; where
     it absorbs misfit, gains are no likelihoods, and Vuong's test counts as well. The best come
     first, and of those that are the same thing in this model the one named by convention.
 

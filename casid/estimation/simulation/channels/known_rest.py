@@ -34,7 +34,7 @@ class KnownRest:
 
 
 def rest_before(model: Model) -> KnownRest:
-    """What was before each record of a model; empty where no stage of its channels feels that."""
+    """What was before each record of a model; empty for a model without stages."""
     return known_rest(model) if model.stages else KnownRest()
 
 

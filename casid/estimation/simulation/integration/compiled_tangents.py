@@ -17,7 +17,7 @@ from casid.arrays import Array
 from casid.estimation.simulation.integration.machine_code import compiled_formula, compiled_loop
 
 LEAST = 4000
-"""Steps from which on a record is worth the compiler's 0.3 s, if it has to be asked."""
+"""Steps of a record from which compiling, 0.3 s, takes less time than it saves."""
 
 _LOOP = """
 /* A formula: its code and numbers, the constants that it takes, and the places of its derivatives

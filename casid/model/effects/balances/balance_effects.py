@@ -289,7 +289,7 @@ def extra_input(
 def further_places_of_inputs(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Inputs of the model in the balances that they do not act in: couplings that it leaves out.
 
-    In a balance that does not feel the sign of an input, as a heat balance in which a current acts
+    In a balance that does not depend on an input's sign, as a heat balance in which a current acts
     by its square, what reverses with the input is left out as well (a Peltier heat).
     """
     for balance, b in model.balances.items():

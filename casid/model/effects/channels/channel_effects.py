@@ -149,7 +149,7 @@ def _after_last_clip(stages: Sequence[Stage], channel: str) -> int:
 
 
 def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
-    """An output that also feels another channel of its dimension: a sensor mounted askew.
+    """An output that also depends on another channel of its dimension: a sensor mounted askew.
 
     `source` is an output of the model (what it would show without noise), one of its inputs, or a
     channel recorded beside the model, in `unit`. A temperature acts by its difference from this,
