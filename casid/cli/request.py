@@ -274,15 +274,10 @@ def read_experiment(
     DataError
         As `Problem.read`, and for two channels of one column.
     """
-    import numpy as np
-
     from casid.data.reading.columns import resolve
     from casid.data.reading.opening import open_table
     from casid.data.reading.several_clocks import on_one_clock
-    from casid.diagnosis.evidence.records.recorded_channels import (
-        left_out_by_clock,
-        refuse_shared_columns,
-    )
+    from casid.diagnosis.evidence.records.recorded_channels import refuse_shared_columns
 
     reading = reading or ReadingRequest()
     form = reading.form if problem.form is None else problem.form.updated(reading.form)
@@ -291,7 +286,6 @@ def read_experiment(
     problem = refuse_shared_columns(
         problem, mapping, table.columns, None if clock is None else clock.column
     )
-
     experiment = problem.read(
         source.path,
         mapping=mapping,
@@ -302,6 +296,17 @@ def read_experiment(
         mark_missing=reading.mark_missing,
         ignore=reading.ignore,
     )
+    return _without_sparse_channels(problem, mapping, experiment)
+
+
+def _without_sparse_channels(
+    problem: Problem, mapping: dict[str, str], experiment: Experiment
+) -> Experiment:
+    """The experiment without channels beside the model's that lack samples the others have."""
+    import numpy as np
+
+    from casid.diagnosis.evidence.records.recorded_channels import left_out_by_clock
+
     record = experiment.record
     # Samples that no row of the file has do not count as holes of a slower clock; nor does the
     # further sample of a held input where two rows of the file lie in one sample.
