@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -99,6 +99,15 @@ class Unknowns:
         start = float(start)
         self.variables.append(Variable(name, source, start, lower, upper, scale, is_inner))
         return len(self.variables) - 1
+
+    def keep_near(self, places: Array, values: Array) -> None:
+        """Bound unknowns, -1 for none, by the range of columns (N, n) and its width beside it."""
+        low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
+        for i, a, b in zip(places.tolist(), low, high, strict=True):
+            if i >= 0 and np.isfinite(b - a) and b > a:
+                v = self.variables[i]
+                lower, upper = max(v.lower, 2 * a - b), min(v.upper, 2 * b - a)
+                self.variables[i] = replace(v, lower=lower, upper=upper)
 
     def is_given(self, name: str) -> bool:
         """Whether the user gave a start value for an unknown."""

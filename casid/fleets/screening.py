@@ -147,6 +147,7 @@ class Screen:
             without=without,
         )
         columns = extended_columns(at.fit, list(effects))
+        columns = replace(columns, wide=columns.wide.for_columns())
         return cls(problem, declared, at, columns, channels, level, without)
 
     def __call__(self, experiment: Experiment) -> Screened:

@@ -80,6 +80,7 @@ class SimulationError:
     ) -> None:
         self.model, self.segments, self.substeps = model, segments, substeps
         self.joined, self._rest = segments > 1, rest_before(model)
+        self._is_bounding, self._is_for_many = segments == 1, False
         self.outputs = tuple(model.outputs)
         self._simulators: dict[float, Simulator] = {}
         self._built: dict[object, Any] = {}  # of the model, shared by `of_records`
@@ -113,6 +114,12 @@ class SimulationError:
             part = np.searchsorted(cuts, np.arange(d.N), side="right") - 1
             early = np.arange(d.N) - cuts[part] < count
             other.data.append(replace(d, used=d.used & early[:, None]))
+        return other
+
+    def for_columns(self) -> SimulationError:
+        """The same for the columns of many records, which are worth compiled steps; no fit."""
+        other = copy.copy(self)
+        other._is_bounding, other._is_for_many, other._simulators = False, True, {}
         return other
 
     def whitened(self, whiten: Whitener | None) -> SimulationError:
@@ -153,6 +160,7 @@ class SimulationError:
                 self._simulators[d.Ts] = Simulator(
                     model, d.Ts, self.free, substeps=steps, pinned=pinned, uneven=uneven
                 )
+                self._simulators[d.Ts].is_for_many = self._is_for_many
             elif self._simulators[d.Ts].free != tuple(self.free):
                 raise DataError(
                     f"{d.name}: other parameters are known than in the records before it; state "
@@ -170,26 +178,18 @@ class SimulationError:
         self._last: LastOf[Simulated] = LastOf()
         self._evaluated: LastPoints[Evaluation] = LastPoints()
         self._courses: dict[int, tuple[Array, Array]] = {}  # inputs, and the same with courses
-        if self.segments == 1 and any(stage.kind in MEMORY for stage in model.stages):
+        if self._is_bounding and any(stage.kind in MEMORY for stage in model.stages):
             self._bound_initial_states()
 
     # -- the variables -----------------------------------------------------------------------
 
     def _bound_initial_states(self) -> None:
-        """Bound the initial states, which only samples that are left out may determine.
-
-        Within the range of the simulation at the start, and once its width on either side.
-        """
+        """Bound the initial states, which only samples that are left out may determine."""
         for e in range(len(self.data)):
             with np.errstate(all="ignore"):
                 states = self.simulate(self.start, e)[1]
-            low, high = states.min(axis=0).tolist(), states.max(axis=0).tolist()
             for part in self._index[e]:
-                for i, a, b in zip(part[len(self.free) :].tolist(), low, high, strict=True):
-                    if i >= 0 and np.isfinite(b - a) and b > a:
-                        v = self.variables[i]
-                        lower, upper = max(v.lower, 2 * a - b), min(v.upper, 2 * b - a)
-                        self.variables[i] = replace(v, lower=lower, upper=upper)
+                self.unknowns.keep_near(part[len(self.free) :], states)
 
     def _state_scale(self, name: str) -> float:
         size = state_size(self.model, name, self.data[0], self.spread)

@@ -135,7 +135,13 @@ class Simulator:
     pinned : values that parameters always have here. A state that no output then depends on
         is simulated without sensitivities, and they are zero in what is returned.
     uneven : whether outputs were read between the samples.
+
+    Attributes
+    ----------
+    is_for_many : whether many records are to come; to be set before the first.
     """
+
+    is_for_many = False
 
     def __init__(
         self,
@@ -305,6 +311,7 @@ class Simulator:
             felt=self._felt,
             free=[e.parameters.index(name) for name in self.free],
             late=self.stepping,
+            is_for_many=self.is_for_many,
         )
 
     def _wide_sensitivities(self, u: Array, p: Array, x0: Array, after: Array) -> Trajectory:

@@ -73,6 +73,7 @@ class WideTangents:
     at : the inputs at `place`, an expression of those of the sample, of `u_next` and `place`.
     free : places of the parameters to differentiate in.
     late : places of the outputs that are wanted at the end of a sample, too.
+    is_for_many : many records are to come, which are worth compiled steps however short they are.
     """
 
     def __init__(
@@ -85,7 +86,9 @@ class WideTangents:
         felt: Sequence[int],
         free: Sequence[int],
         late: Sequence[int],
+        is_for_many: bool = False,
     ) -> None:
+        self.least = 0 if is_for_many else LEAST
         self.Ts, self.n_felt, self.n_free = Ts, len(felt), len(free)
         u_next, place = symbols
         x, p = (ca.vertcat(*[v[i] for i in of]) for v, of in ((e.x, felt), (e.p, free)))
@@ -108,7 +111,7 @@ class WideTangents:
         start : (nf, nc) tangents of the first state; nc are parameters, then initial states.
         """
         N, columns = len(motion.x), start.shape[1]
-        if N * motion.places.shape[1] >= LEAST and self._compiled is not None:
+        if N * motion.places.shape[1] >= self.least and self._compiled is not None:
             formulas = (self._rate, self._out, self._late)
             given = (motion.x, motion.after, motion.u, motion.u_next, motion.places)
             constants = [of.constants(motion.p) for of in formulas]
