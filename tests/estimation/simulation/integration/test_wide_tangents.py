@@ -10,6 +10,7 @@ import casid
 from casid.compiler import compiler
 from casid.estimation.simulation.integration import simulator, wide_tangents
 from casid.estimation.simulation.integration.simulator import Simulator
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channels.channel_effects import sensor_lag
 from casid.model.effects.effect import Sizes, extend_all
@@ -137,3 +138,23 @@ def test_tangents_of_a_whole_catalogue_are_those_of_one_step(monkeypatch, subste
         largest = np.abs(one).max(axis=(0, 1), initial=0.0)
         assert other.shape == one.shape
         assert np.all(np.abs(other - one) <= 1e-11 * (1.0 + largest))
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler is found here")
+def test_steps_for_many_short_records_are_compiled_with_the_first(monkeypatch, tmp_path):
+    """One of 60 samples is not worth it. The columns are the same, with no bounds from a fit."""
+    monkeypatch.setenv("CASID_CACHE", str(tmp_path))
+    monkeypatch.setattr(simulator, "WIDE", 0)
+    model = carriage().extend(sensor_lag(carriage(), "speed", 0.5))
+    rng = np.random.default_rng(3)
+    units = {"pull": "N", "push": "N", "reach": "m", "speed": "m/s"}
+    record = casid.Record({name: rng.normal(size=60) for name in units}, units, Ts=TS)
+    criterion = SimulationError(model, [casid.Experiment(record)])
+    compiled = [list(tmp_path.glob("steps/loop/*.so"))]
+    of = []
+    for each in (criterion, criterion.for_columns().of_records(criterion.experiments)):
+        of.append(each.columns(each.start, 0))
+        compiled.append(list(tmp_path.glob("steps/loop/*.so")))
+    assert [len(found) for found in compiled] == [0, 0, 1]
+    for one, other in zip(*of, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-10, atol=1e-12)
