@@ -449,7 +449,8 @@ def _prepared(problem: Problem, experiment: Experiment) -> tuple[Problem, Experi
     problem, (record,) = in_si(problem, [experiment])
     problem = with_unused_columns(problem, [record])
     model, _ = with_written_accelerations(with_balances(problem.model))
-    problem = replace(problem, model=model)
+    if model is not problem.model:
+        problem = replace(problem, model=model)
     pieces = with_gaps_treated(problem.model, [record], problem.recorded)
     if len(pieces) != 1:
         raise DataError(f"{record.name}: gaps of its inputs cut it into {len(pieces)} pieces")
