@@ -164,7 +164,8 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     that falls with the speed), in what a sensor shows alone (a battery's resistance), or in a flow
     that a sensor shows as well (a valve's coefficient); or it is that of a reaction, which its
     product inhibits. Elsewhere it is a force that grows with its state, and tested as one. With a
-    state that keeps its sign what a sensor shows as well also goes as a power of it.
+    state that keeps its sign what a sensor shows as well also goes as a power of it, and so does
+    the rate of a reaction with the amount of what reacts: its order.
     """
     for name, p in model.parameters.items():
         if p.is_constant or (p.is_known and p.value == 0.0):
@@ -175,8 +176,10 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             for b in model.balances.values()
             if any(ca.which_depends(b.total, symbol))
         }
+        several = _of_several(model, symbol, inside)
+        reactants = [x for x in several if is_amount(model.symbol_units[x])]
         states = (
-            *_of_several(model, symbol, inside),
+            *several,
             *_of_inertias(model, symbol),
             *_of_gains(model, symbol, inside),
             *_shown(model, symbol, inside),
@@ -187,7 +190,7 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
                 size = sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
                 if size.mean > 0.0:
                     yield state_scheduled_parameter(model, name, state, size, power)
-        for state in beside:
+        for state in (*beside, *reactants):
             unit, spread = model.states[state].unit, spread_of_state(model, sizes, state)
             if has_powers(spread, unit):
                 yield power_scheduled_parameter(model, name, state, unit, spread)
