@@ -277,9 +277,15 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
                 out.append(Alternative(kind, where, 1.0, why))
             is_one_way = where.partition(": ")[0] not in both_ways
             if kind == effect.kind == "time_delay" and c < 0.0 and is_one_way:
-                why = f"an advance of {where} looks the same as a delay of {effect.where}"
-                out.append(Alternative(kind, where, 1.0, why, ADVANCE))
+                out.append(Alternative(kind, where, 1.0, as_an_advance(where, effect), ADVANCE))
     return out[: JUDGING.aliases]
+
+
+def as_an_advance(where: str, late: Effect) -> str:
+    """That records which are ahead of time look the same as a delay or a dead time elsewhere."""
+    is_dead_time = late.shape == ACTS_LATE or late.description.startswith(ACTS_LATE)
+    what = "dead time" if is_dead_time else "delay"
+    return f"an advance of {where} in the record looks the same as a {what} of {late.where}"
 
 
 def _as_dry_friction(
