@@ -148,3 +148,15 @@ def found_values(candidate: Candidate) -> dict[str, float]:
         for p, name in zip(candidate.effect.parameters, candidate.names, strict=True)
         if name in values
     }
+
+
+def values_by_new_names(
+    placed: Sequence[Candidate], before: Sequence[Candidate]
+) -> dict[str, float]:
+    """Estimated parameters of effects, by their new names."""
+    return {
+        new: c.fit.values[old]
+        for p, c in zip(placed, before, strict=True)
+        for new, old in zip(p.names, c.names, strict=True)
+        if old in c.fit.values
+    }

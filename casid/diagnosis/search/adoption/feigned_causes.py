@@ -39,7 +39,7 @@ def without_feigned(
         feigned = _least_significant(found.adopted, corrected)
         if feigned is None:
             break
-        fit = refine.fit_without(found.fit, feigned.candidate)
+        fit = refine.fit_without(found.fit, feigned.candidate, found.adopted)
         kept = [a for a in found.adopted if a is not feigned]
         lean = refine.rebuilt(found, kept, fit)
         again = correct(lean.fit) if lean.fit is not None else None

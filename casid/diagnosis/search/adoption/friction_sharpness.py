@@ -63,7 +63,7 @@ def without_blunt_reversals(refine: Refinement, found: Adoption) -> Adoption:
             assert fit is not None
             kept = [b for b in found.adopted if b is not a]
             lean = with_sharp_friction(
-                refine, refine.rebuilt(found, kept, refine.fit_without(fit, c))
+                refine, refine.rebuilt(found, kept, refine.fit_without(fit, c, found.adopted))
             )
             if lean.fit is not None and not refine.is_missed(fit, lean.fit):
                 refine.search.refused.append((c, SUPERFLUOUS))

@@ -19,13 +19,14 @@ import numpy as np
 
 from casid.diagnosis.evidence.records.signal_sizes import sizes_of
 from casid.diagnosis.evidence.whitening.weighted_model import minus_log_likelihood
-from casid.diagnosis.search.adoption.refinement import (
-    Adoption,
-    Refinement,
+from casid.diagnosis.search.adoption.refinement import Adoption, Refinement, whole_fit
+from casid.diagnosis.search.candidates import (
+    Candidate,
+    as_placed,
+    extended_by,
+    name_of,
     values_by_new_names,
-    whole_fit,
 )
-from casid.diagnosis.search.candidates import Candidate, as_placed, extended_by, name_of
 from casid.diagnosis.search.comparison.simulation_errors import on_common_samples, simulation_errors
 from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.thresholds import COMPARISON

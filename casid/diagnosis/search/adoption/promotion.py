@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
-from casid.diagnosis.search.adoption.refinement import Adoption, values_by_new_names, whole_fit
+from casid.diagnosis.search.adoption.refinement import Adoption, whole_fit
 from casid.diagnosis.search.candidates import (
     Adopted,
     Candidate,
@@ -18,6 +18,7 @@ from casid.diagnosis.search.candidates import (
     extended_by,
     is_needed,
     name_of,
+    values_by_new_names,
 )
 from casid.diagnosis.search.comparison.simulation_errors import on_common_samples, simulation_errors
 from casid.diagnosis.search.rounds import Search

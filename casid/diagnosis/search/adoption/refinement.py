@@ -18,6 +18,7 @@ complete set is therefore refined by the errors of all causes together:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -37,9 +38,10 @@ from casid.diagnosis.search.candidates import (
     name_of,
     null_values,
     taken_out,
+    values_by_new_names,
 )
 from casid.diagnosis.search.comparison.alternatives import TANGENTS, is_imitator
-from casid.diagnosis.search.comparison.contributions import contributions_of
+from casid.diagnosis.search.comparison.contributions import contributions_of, values_without_any
 from casid.diagnosis.search.comparison.simulation_errors import (
     SimulationErrors,
     fitted_error,
@@ -54,9 +56,10 @@ from casid.diagnosis.search.refusals import SUPERFLUOUS, Refusal
 from casid.diagnosis.search.residual_check import is_noise_alone
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, JUMPS, ROUNDS
+from casid.errors import SolveError
 from casid.estimation.holdout import Split, counted_by_all, why_worse
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
-from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.minimization import DivergenceError, Fit
 from casid.model.model import Model
 
 
@@ -104,7 +107,7 @@ class Refinement:
                 continue
             if abs(wald(fit, first, null_values(c)[first])) > least:
                 continue
-            without = self.fit_without(fit, c)
+            without = self.fit_without(fit, c, kept)
             if c.effect.cost > 1 and self.is_missed(fit, without):
                 continue  # its parameters exchange for each other, and none is known by itself
             refused.append((c, SUPERFLUOUS))
@@ -129,7 +132,7 @@ class Refinement:
         for a in reversed(found.adopted):
             if len(kept) == 1:
                 break
-            without = self.fit_without(fit, a.candidate)
+            without = self.fit_without(fit, a.candidate, kept)
             reason = why(a, fit, without)
             if reason:
                 refused.append((a.candidate, reason))
@@ -271,7 +274,7 @@ class Refinement:
             i = min(judged, key=lambda k: losses[k])
             if losses[i] >= JUDGING.practical * total:
                 break
-            without = self.fit_without(bare, kept[i].candidate)
+            without = self.fit_without(bare, kept[i].candidate, kept)
             judged.remove(i)
             is_seen = self._is_seen(bare, without, of_any_share=is_whole)
             if is_seen or _carries(self.start.model, bare, without):
@@ -340,7 +343,7 @@ class Refinement:
         """The errors with all causes but one: a rival has to explain what that one does."""
         if len(adopted) == 1:
             return self.before
-        without = self.fit_without(fit, adopted[i].candidate)
+        without = self.fit_without(fit, adopted[i].candidate, adopted)
         return simulation_errors(without, self.split, self.units)
 
     def _is_preferred(
@@ -378,11 +381,17 @@ class Refinement:
         settings = replace(self.settings, substeps=substeps or self.settings.substeps)
         return placed, whole_fit(model, self.split, settings, self.units, values)
 
-    def fit_without(self, fit: Fit, c: Candidate) -> Fit:
-        """The model fitted again without one effect."""
+    def fit_without(self, fit: Fit, c: Candidate, among: Sequence[Adopted]) -> Fit:
+        """The model fitted again without one effect of those it has.
+
+        Where the others diverge without it, from the model as it was before any.
+        """
         model = taken_out(fit.criterion.model, null_values(c))
-        values = {k: v for k, v in fit.values.items() if k not in c.names}
-        return whole_fit(model, self.split, self.settings, self.units, values)
+        for values in (fit.values, values_without_any(among, fit)):
+            start = {k: v for k, v in values.items() if k not in c.names}
+            with suppress(DivergenceError):
+                return whole_fit(model, self.split, self.settings, self.units, start)
+        raise SolveError(f"{model.name} diverges without {name_of(c.effect)}")
 
     def _rebuilt_unless_worse(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
         """The model rebuilt with the causes kept; `found` itself where that loses too much."""
@@ -484,15 +493,3 @@ def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:
     others = (r for r in taken.rivals if r.candidate.effect.key != chosen.effect.key)
     near = tuple(c for c in taken.near if c.effect.key != chosen.effect.key)
     return replace(taken, candidate=chosen, rivals=(first, *others), near=near)
-
-
-def values_by_new_names(
-    placed: Sequence[Candidate], before: Sequence[Candidate]
-) -> dict[str, float]:
-    """Estimated parameters of effects, by their new names."""
-    return {
-        new: c.fit.values[old]
-        for p, c in zip(placed, before, strict=True)
-        for new, old in zip(p.names, c.names, strict=True)
-        if old in c.fit.values
-    }

@@ -17,6 +17,7 @@ from casid.diagnosis.search.comparison.simulation_errors import simulation_error
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.reported_causes import remainders_of
+from casid.errors import SolveError
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balances.balance_effects import (
@@ -29,6 +30,7 @@ from casid.model.effects.balances.balance_effects import (
 )
 from casid.model.effects.parameter_effects import parameter_drift
 from problems import roll_decay
+from tests.support.moved_fits import with_value
 
 ONCE = casid.FitSettings(starts=1)
 MODULE = "casid.diagnosis.search.adoption.refinement"
@@ -319,3 +321,17 @@ def test_an_effect_that_an_output_shows_is_a_cause_beside_a_far_larger_one_of_an
     main = of.without_small(found)
     assert {a.candidate.effect.where for a in main.adopted} == {"heat_hot", "heat_cool"}
     assert not main.remainders
+
+
+def test_a_fit_without_a_cause_begins_without_the_others_where_these_diverge_alone() -> None:
+    """A restoring moment that falls so fast with the heel that the ship turns over."""
+    of = refinement(0.07)
+    first = hardening(of)
+    second = beside(of, first, quadratic_damping(first.model, "torque"), 0.07)
+    found = adopted(of, first, second)
+    assert found.fit is not None
+    capsizing = with_value(found.fit, "k_3", -400.0)
+    with pytest.raises(SolveError, match="diverges"):
+        whole_fit(first.model, of.split, of.settings, of.units, capsizing.values)
+    near, far = (of.fit_without(fit, second, found.adopted) for fit in (found.fit, capsizing))
+    assert far.solution.value == pytest.approx(near.solution.value, rel=1e-3)

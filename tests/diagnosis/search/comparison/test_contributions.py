@@ -13,6 +13,7 @@ from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balances.balance_effects import cubic_stiffness, quadratic_damping
 from problems import roll_decay
+from tests.support.moved_fits import with_value
 
 ONCE = casid.FitSettings(starts=1)
 
@@ -42,14 +43,18 @@ def fits():
 def contributions(fits):
     experiments, found = fits
     weighing = Weighing(experiments)
+    return contributions_of(weighing, causes(weighing, found), found["both"], Attempts())
+
+
+def causes(weighing, found):
+    """Hardening, adopted into the linear model, and drag beside it."""
     refitting = Refitting(weighing)
     start = weighing.weigh(found["linear"].criterion.model, found["linear"])
     hardening = cubic_stiffness(start.model, "torque")
     first = refitting.refit(start, hardening, 4.0)
     beside = weighing.weigh(first.model, first.fit)
     second = refitting.refit(beside, quadratic_damping(first.model, "torque"), 0.07)
-    adopted = [Adopted(first, 0.0, (), start), Adopted(second, 0.0, (), beside)]
-    return contributions_of(weighing, adopted, found["both"], Attempts())
+    return [Adopted(first, 0.0, (), start), Adopted(second, 0.0, (), beside)]
 
 
 def test_a_contribution_is_the_loss_of_the_model_without_that_cause(fits, contributions):
@@ -64,3 +69,13 @@ def test_no_cause_contributes_more_than_all_of_them_together(fits, contributions
     """A model without one cause contains the model without any."""
     values = {name: fit.solution.value for name, fit in fits[1].items()}
     assert 0.0 < max(contributions) < values["linear"] - values["both"]
+
+
+def test_a_share_is_known_where_the_other_causes_diverge_alone(fits, contributions):
+    """A restoring moment that falls so fast with the heel that the ship turns over."""
+    experiments, found = fits
+    weighing, attempts = Weighing(experiments), Attempts()
+    capsizing = with_value(found["both"], "k_3", -400.0)
+    shares = contributions_of(weighing, causes(weighing, found), capsizing, attempts)
+    assert not attempts.failed
+    assert shares == pytest.approx(contributions, rel=1e-3)
