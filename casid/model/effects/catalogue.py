@@ -276,8 +276,9 @@ def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     if not place.is_mechanical and not motion.is_signed:
         return []
     sides: tuple[Side, ...] = ("upper",)
+    starts = (*CONTACT_RANGES.of_stores, *CONTACT_RANGES.starts)
     if place.is_mechanical:
-        sides = ("both", "symmetric", "upper", "lower")
+        sides, starts = ("both", "symmetric", "upper", "lower"), CONTACT_RANGES.starts
     middle, reach = 0.5 * (motion.low + motion.high), 0.5 * (motion.high - motion.low)
     if not np.isfinite(reach) or reach <= 0.0:
         return []
@@ -285,7 +286,7 @@ def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     return [
         end_stop(model, place, side, middle, reach, width, start)
         for side in sides
-        for start in CONTACT_RANGES.starts
+        for start in starts
     ]
 
 

@@ -209,6 +209,12 @@ class ContactRanges:
         "the first of them reaches stops that are nearer to the middle",
         _CONTACT,
     )
+    of_stores: tuple[float, ...] = _is(
+        (-0.5, 0.0),
+        "further ones for a store: what fills it may be short peaks, above which it seldom is, and "
+        "its overflow at work for most of the time",
+        _CONTACT,
+    )
     one: float = _is(
         -0.8,
         "of half the range, the position of a stop on one side that is nearest to the other end: "
