@@ -45,6 +45,7 @@ def placed(
             progress(f"find the instants of {name_of(c.effect)}")
             what = f"the instants of {name_of(c.effect)}"
             c = refitting.attempts.attempt(what, partial(_between, refitting, at, c, known)) or c
+            c = refitting.attempts.attempt(what, partial(_or_staying, refitting, at, c, known)) or c
         elif c.effect.sets_in and c.gain > JUMPS.promising * top:
             progress(f"find the instant of {name_of(c.effect)}")
             if instant is not None:
@@ -68,6 +69,24 @@ def _between(
         first, last = _best_pair(at, found.fit, found.names[0], found.effect, reach)
         found = _better_at(refitting, at, found, first, known, last)
     return found
+
+
+def _or_staying(
+    refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
+) -> Candidate:
+    """What is over again or, where that is better, the change that stays from its first instant on.
+
+    One that ends just before the fitted part does explains as much there, but predicts another
+    motion. A fit that begins far from a change may miss the one that stays.
+    """
+    first = found.effect.variant
+    assert first is not None
+    stays = at_instant(found.effect, at.model, first)
+    twin = refitting.again(at, replace(found, effect=stays))
+    if twin is None:
+        return found
+    twin = placed_by_refits(refitting, at, replace(twin, score=found.score), known)
+    return max(found, twin, key=lambda c: c.merit)
 
 
 def _over_elsewhere(

@@ -88,7 +88,6 @@ def test_what_is_on_for_a_while_is_one_cause_with_both_instants(
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_for_a_while_a_parameter_may_be_many_times_what_it_is():
     """A valve that is opened: eight times the leak."""
     (cause,) = diagnosed(record(leaks=4.0, end=27.0)).causes
@@ -102,6 +101,19 @@ def test_what_stays_is_a_jump():
     assert cause.kind == "parameter_jump"
     assert "end" not in sizes(cause)
     assert cause.words == "jump of k"
+
+
+def test_what_seems_to_end_just_before_the_record_is_compared_with_what_stays():
+    """Both explain as much of what was fitted, and one instant less costs less."""
+    experiments, model = [casid.Experiment(record(leaks=0.3, stays=True))], leak().model
+    weighing = Weighing(experiments)
+    refitting = Refitting(weighing)
+    at = weighing.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
+    passing = refitting.refit(at, parameter_jump(model, "k", BEGIN, (N - 20) * TS), 0.3)
+    assert passing is not None
+    best = max(placed(refitting, at, [passing], [], lambda _: None), key=lambda c: c.merit)
+    assert best.effect.end is None
+    assert best.effect.variant == pytest.approx(BEGIN, abs=TS)
 
 
 def test_a_record_without_a_change_has_none():
