@@ -128,10 +128,11 @@ def is_scheduled_by_state(effect: Effect) -> bool:
 def inhibited_parameter(model: Model, name: str, state: str, size: Motion) -> Effect:
     """The coefficient p of a reaction that falls with an amount x beside it: p / (1 + r x).
 
-    An enzyme that its product inhibits; r, one over the amount that halves p, is negative where x
-    helps. As p (1 + r m) / (1 + r x), m the mean of x (`size`), p stays what it is there.
+    An enzyme that its product inhibits, or what leaves take up of the light x, which saturates; r,
+    one over the x that halves p, is negative where x helps. As p (1 + r m) / (1 + r x), m the mean
+    of x (`size`), p stays what it is there.
     """
-    unit = model.states[state].unit
+    unit = model.symbol_units[state]
     own = Parameter(
         f"inverse_K_{state}",
         unit_quotient("1", unit),
@@ -165,7 +166,8 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     that a sensor shows as well (a valve's coefficient); or it is that of a reaction, which its
     product inhibits. Elsewhere it is a force that grows with its state, and tested as one. With a
     state that keeps its sign what a sensor shows as well also goes as a power of it, and so does
-    the rate of a reaction with the amount of what reacts: its order.
+    the rate of a reaction with the amount of what reacts: its order. The gain of an input that is
+    never negative, and of nothing else, may saturate with it.
     """
     for name, p in model.parameters.items():
         if p.is_constant or (p.is_known and p.value == 0.0):
@@ -198,6 +200,10 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             size = sizes.motion_of(model.symbol(state))
             if size.is_signed and size.low > 0.0:
                 yield inhibited_parameter(model, name, state, size)
+        for channel in _gained(model, name, inside):
+            size = sizes.motion_of(model.symbol(channel))
+            if size.low >= 0.0 and size.mean > 0.0:
+                yield inhibited_parameter(model, name, channel, size)
 
 
 def _possible_inhibitors(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
@@ -210,6 +216,14 @@ def _possible_inhibitors(model: Model, symbol: Any, inside: Mapping[str, Any]) -
     if len(inside) < 2 or not felt & {*inside}:
         return []
     return [s for s in inside if s not in felt and is_amount(model.states[s].unit)]
+
+
+def _gained(model: Model, name: str, inside: Mapping[str, Any]) -> list[str]:
+    """The input of which a parameter is the gain, and of nothing else."""
+    slope = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), model.symbol(name))
+    felt = {s.name() for s in ca.symvar(slope)} - {*model.parameters}
+    is_alone = len(felt) == 1 and not model.parameters[name].is_known
+    return sorted(felt & {*recorded_inputs(model)}) if is_alone else []
 
 
 def _of_several(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:

@@ -518,6 +518,29 @@ def test_a_reaction_is_inhibited_by_what_it_makes_and_not_by_what_it_is_stated_w
         assert found == pytest.approx([-rate, rate], rel=1e-12)
 
 
+@pytest.mark.parametrize(("lowest", "is_tested"), [(0.0, True), (-100.0, False)])
+def test_the_gain_of_an_input_that_is_never_negative_may_saturate_with_it(lowest, is_tested):
+    """What leaves take up of the light, of which 300 W/m^2 halve the gain."""
+    m = casid.Model("leaves")
+    c, light = m.state("c", "kg/m^3", start=0.7), m.input("light", "W/m^2", known=True)
+    p, g = m.parameter("p", "kg/(m J)", start=0.002), m.parameter("g", "1/s", start=0.1)
+    m.balance(c, "CO2", inertia=1, terms=[-p * light, -g * c])
+    m.output("y", c, "kg/m^3")
+    ranges = {"c": (0.3, 1.0), "light": (lowest, 600.0)}
+    sizes = Sizes({"c": 0.7, "light": 300.0}, {"y": 0.7}, (0.0, 9.0), 1.0, ranges=ranges)
+    found = [e for e in state_schedules_of(m, sizes) if e.where.endswith("~light")]
+    assert [e.where for e in found] == ["p~light"] * is_tested
+    for effect in found:
+        extended, (r,) = effect.extended(m)
+        e = extended.explicit()
+        f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+        values = {"p": 0.002, "g": 0.0, r: 1 / 300.0}
+        for u in (0.0, 150.0, 600.0):
+            rate = float(f([0.7], [u], [values[n] for n in e.parameters]))
+            true = -0.002 * u * (1 + 300.0 / 300.0) / (1 + u / 300.0)  # 300 W/m^2 is the mean
+            assert rate == pytest.approx(true, rel=1e-12)
+
+
 def test_an_amount_that_helps_a_reaction_keeps_its_rate_finite():
     """r is above -1/(2 x) for the largest x that was met."""
     m = casid.Model("reaction")
