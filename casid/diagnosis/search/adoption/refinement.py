@@ -402,8 +402,10 @@ class Refinement:
         inside = [a for a in found.adopted if a.candidate.names[0] in fit.criterion.names]
         if len(inside) == len(found.adopted):
             return self.reweighed(found, kept, fit)
-        placed, fit = self.with_causes([a.candidate for a in inside], fit)
-        new = {c.effect.key: c for c in placed}
+        # From where they are without the others, which may be far from where each was found.
+        placed, fit = self.with_causes([replace(a.candidate, fit=fit) for a in inside], fit)
+        own = zip(placed, inside, strict=True)
+        new = {c.effect.key: replace(c, fit=a.candidate.fit) for c, a in own}
 
         def again(rows: Sequence[Adopted]) -> tuple[Adopted, ...]:
             return tuple(

@@ -335,3 +335,18 @@ def test_a_fit_without_a_cause_begins_without_the_others_where_these_diverge_alo
         whole_fit(first.model, of.split, of.settings, of.units, capsizing.values)
     near, far = (of.fit_without(fit, second, found.adopted) for fit in (found.fit, capsizing))
     assert far.solution.value == pytest.approx(near.solution.value, rel=1e-3)
+
+
+def test_a_model_is_rebuilt_from_its_fit_and_not_from_where_its_causes_were_found() -> None:
+    """What was found was a moment that falls with the heel and turns the ship over."""
+    of = refinement(0.07)
+    first = hardening(of)
+    second = beside(of, first, quadratic_damping(first.model, "torque"), 0.07)
+    found = adopted(of, first, second)
+    assert found.fit is not None
+    without = of.fit_without(found.fit, second, found.adopted)
+    far = replace(first, fit=with_value(first.fit, "k_3", -400.0))
+    kept = [replace(found.adopted[0], candidate=far)]
+    lean = of.rebuilt(replace(found, adopted=(*kept, found.adopted[1])), kept, without)
+    assert lean.fit is not None
+    assert lean.fit.solution.value == pytest.approx(without.solution.value, rel=1e-3)
