@@ -10,6 +10,7 @@ import numpy as np
 
 from casid.data.reading.header_units import (
     HeaderUnit,
+    doubtful_ending,
     header_unit,
     likely_reading,
     settled,
@@ -193,6 +194,13 @@ def _read_unit(table: Table, name: str, spec: ColumnSpec) -> tuple[str, str]:
             f"{shell_option('--map', f'{name}={spec.column}:{target}')}."
         )
     if target is not None:
+        if doubt := doubtful_ending(spec.column, target):
+            ending, unit = doubt
+            mends = [shell_option("--map", f"{name}={spec.column}:{u}") for u in (unit, target)]
+            raise UnitError(
+                f"{ending!r} at the end of its name may mean {unit}, or be part of the name of a "
+                f"signal in {target}. Write which, as in {mends[0]} or {mends[1]}."
+            )
         return target, "the model's: the file names none"
     return "1", "the file names none" if found is None else f"{found.text!r} is no unit"
 

@@ -254,6 +254,23 @@ def settled(found: HeaderUnit, target: str) -> str | None:
     return fits[0] if len(fits) == 1 else None
 
 
+def doubtful_ending(column: str, target: str) -> tuple[str, str] | None:
+    """The ending of a name with the unit of the target's dimension that it may be: a_g, T_C, F_KN.
+
+    It may as well be an index, as of the ground and a cold side. None where a column's name ends
+    otherwise, and where the unit is the target itself.
+    """
+    stem, _, ending = column.rpartition("_")
+    if not stem or _is_no_ending(ending) or _reads(ending) is not None:
+        return None
+    unit = settled(HeaderUnit(ending, None, stem, False), target)
+    if unit is None:
+        return None
+    one, other = parse_unit(unit), parse_unit(target)
+    is_alike = one.factor == other.factor and one.offset == other.offset
+    return None if is_alike else (ending, unit)
+
+
 def likely_reading(text: str) -> str | None:
     """The reading of an ambiguous unit that a draft may take, to be checked; None for none.
 

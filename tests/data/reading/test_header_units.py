@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from casid.data.quality import check
 from casid.data.reading.columns import ColumnSpec
-from casid.data.reading.header_units import header_unit
+from casid.data.reading.header_units import doubtful_ending, header_unit
 from casid.data.reading.record_file import read_record
 from casid.errors import DataError, UnitError
+from casid.model.units import parse_unit
 from tests.support.text_tables import T, rows
 
 
@@ -189,3 +190,30 @@ def test_a_unit_of_time_other_than_the_one_that_the_file_states_is_reported(csv)
     found = check(csv(rows(T, header="t [s],y,f")), time=ColumnSpec("t [s]", "min"))
     (finding,) = [f for f in found.findings if f.channel == "t"]
     assert "though the file states s: its numbers count 60 times as much" in finding.text
+
+
+@pytest.mark.parametrize(
+    ("column", "target", "size"),
+    [("a_hub_g", "m/s^2", 9.80665), ("F_KN", "N", 1e3), ("T_F", "K", 5 / 9), ("v_kt", "m/s", None)],
+)
+def test_an_ending_that_may_be_a_unit_or_an_index_is_settled_by_the_user(csv, column, target, size):
+    """The acceleration of the ground, or one in g: nothing in the file says which."""
+    path = csv(rows(T, header=f"t,{column},other"))
+    found = doubtful_ending(column, target)
+    assert found is not None
+    ending, unit = found
+    with pytest.raises(UnitError, match=rf"'{ending}' at the end of its name may mean {unit}"):
+        read_record(path, {"y": ColumnSpec(column, target=target)})
+    plain = read_record(path, {"y": (column, target, target)})
+    record = read_record(path, {"y": (column, unit, target)})
+    factor = parse_unit(unit).factor if size is None else size
+    np.testing.assert_allclose(np.diff(record["y"]), factor * np.diff(plain["y"]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("column", "target"),
+    [("T_C", "degC"), ("v_g", "m/s"), ("x_in", "m"), ("q_S", "m^3/s"), ("force_N", "N")],
+)
+def test_an_ending_of_another_quantity_or_of_the_model_s_own_unit_leaves_no_doubt(column, target):
+    """In the same unit either way, or a word, or an index alone."""
+    assert doubtful_ending(column, target) is None
