@@ -195,11 +195,11 @@ def _read_unit(table: Table, name: str, spec: ColumnSpec) -> tuple[str, str]:
         )
     if target is not None:
         if doubt := doubtful_ending(spec.column, target):
-            ending, unit = doubt
-            mends = [shell_option("--map", f"{name}={spec.column}:{u}") for u in (unit, target)]
+            ending, units = doubt
+            ways = [shell_option("--map", f"{name}={spec.column}:{u}") for u in (*units, target)]
             raise UnitError(
-                f"{ending!r} at the end of its name may mean {unit}, or be part of the name of a "
-                f"signal in {target}. Write which, as in {mends[0]} or {mends[1]}."
+                f"{ending!r} at the end of its name may mean {' or '.join(units)}, or be part of "
+                f"the name of a signal in {target}. Write which, as in {' or '.join(ways)}."
             )
         return target, "the model's: the file names none"
     return "1", "the file names none" if found is None else f"{found.text!r} is no unit"

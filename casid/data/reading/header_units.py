@@ -19,6 +19,7 @@ _SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")
 _COMPOUND = re.compile(r"\S[/*·^]\S|[²³]$")  # signs that a compound has and a name has not
 _SPACE = re.compile(r"(.*\S)[\s,]+(\S+)")
 _LAST_IN = re.compile(r"[\s,]+in$", re.IGNORECASE)  # the word before the unit: sun in W/m^2
+_ENDING = re.compile(r".*[^\s,_][\s,_]+([^\s,_]+)")  # the last word of a name: a_hub_g, wind kt
 # Endings that are more often a word, an index or another unit than what the list reads: x_in is an
 # input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second, r_psi a
 # heading, x_var a variance, x_hp high-pass filtered, x_cal calibrated.
@@ -249,26 +250,32 @@ def _readings_of(text: str) -> str:
 
 def settled(found: HeaderUnit, target: str) -> str | None:
     """The one reading of an ambiguous unit that has the target's dimension; None otherwise."""
-    readings = _READINGS.get(found.text) or _READINGS.get(found.text.casefold(), ())
-    fits = [u for u in readings if same_dimension(u, target)]
+    fits = _fitting(found.text, target)
     return fits[0] if len(fits) == 1 else None
 
 
-def doubtful_ending(column: str, target: str) -> tuple[str, str] | None:
-    """The ending of a name with the unit of the target's dimension that it may be: a_g, T_C, F_KN.
+def _fitting(text: str, target: str) -> list[str]:
+    """The readings of an ambiguous unit that have the target's dimension."""
+    readings = _READINGS.get(text) or _READINGS.get(text.casefold(), ())
+    return [u for u in readings if same_dimension(u, target)]
 
-    It may as well be an index, as of the ground and a cold side. None where a column's name ends
-    otherwise, and where the unit is the target itself.
+
+def doubtful_ending(column: str, target: str) -> tuple[str, list[str]] | None:
+    """The last word of a column's name, and the units of the target's dimension that it may be.
+
+    As of a_g, T_C and `wind kt`: it may as well be an index, as of the ground and a cold side. None
+    where it is no such unit, or one of the target's size alone.
     """
-    stem, _, ending = column.rpartition("_")
-    if not stem or _is_no_ending(ending) or _reads(ending) is not None:
+    match = _ENDING.fullmatch(column)
+    if match is None or _is_no_ending(match[1]) or _reads(match[1]) is not None:
         return None
-    unit = settled(HeaderUnit(ending, None, stem, False), target)
-    if unit is None:
-        return None
-    one, other = parse_unit(unit), parse_unit(target)
-    is_alike = one.factor == other.factor and one.offset == other.offset
-    return None if is_alike else (ending, unit)
+    own = parse_unit(target)
+    units = [
+        text
+        for text in _fitting(match[1], target)
+        if (unit := parse_unit(text)).factor != own.factor or unit.offset != own.offset
+    ]
+    return (match[1], units) if units else None
 
 
 def likely_reading(text: str) -> str | None:

@@ -15,7 +15,6 @@ from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.header_units import doubtful_ending, header_unit
 from casid.data.reading.record_file import read_record
 from casid.errors import DataError, UnitError
-from casid.model.units import parse_unit
 from tests.support.text_tables import T, rows
 
 
@@ -193,21 +192,31 @@ def test_a_unit_of_time_other_than_the_one_that_the_file_states_is_reported(csv)
 
 
 @pytest.mark.parametrize(
-    ("column", "target", "size"),
-    [("a_hub_g", "m/s^2", 9.80665), ("F_KN", "N", 1e3), ("T_F", "K", 5 / 9), ("v_kt", "m/s", None)],
+    ("column", "target", "sizes"),
+    [
+        ("a_hub_g", "m/s^2", [9.80665]),
+        ("F_KN", "N", [1e3]),
+        ("T_F", "K", [5 / 9]),
+        ("wind kt", "m/s", [1852 / 3600]),
+        ("Temp C", "K", [1.0]),
+        ("range_nm", "m", [1852.0, 1e-9]),
+    ],
 )
-def test_an_ending_that_may_be_a_unit_or_an_index_is_settled_by_the_user(csv, column, target, size):
+def test_an_ending_that_may_be_a_unit_or_an_index_is_settled_by_the_user(
+    csv, column, target, sizes
+):
     """The acceleration of the ground, or one in g: nothing in the file says which."""
     path = csv(rows(T, header=f"t,{column},other"))
     found = doubtful_ending(column, target)
     assert found is not None
-    ending, unit = found
-    with pytest.raises(UnitError, match=rf"'{ending}' at the end of its name may mean {unit}"):
+    ending, units = found
+    with pytest.raises(UnitError, match=rf"'{ending}' at the end of its name may mean") as caught:
         read_record(path, {"y": ColumnSpec(column, target=target)})
     plain = read_record(path, {"y": (column, target, target)})
-    record = read_record(path, {"y": (column, unit, target)})
-    factor = parse_unit(unit).factor if size is None else size
-    np.testing.assert_allclose(np.diff(record["y"]), factor * np.diff(plain["y"]), atol=1e-9)
+    for unit, size in zip(units, sizes, strict=True):
+        assert f"y={column}:{unit}" in str(caught.value)
+        record = read_record(path, {"y": (column, unit, target)})
+        np.testing.assert_allclose(np.diff(record["y"]), size * np.diff(plain["y"]), atol=1e-12)
 
 
 @pytest.mark.parametrize(
