@@ -127,8 +127,8 @@ class InputGaps:
     )
     error: float = _is(
         1e-3,
-        "rms error that filling may leave in an input, over the rms of the input, from which an "
-        "estimate warns of it: no gain is biased by more, and few are estimated as exactly",
+        "rms error that filling may leave in an input, over the input's standard deviation, above "
+        "which an estimate warns of it: no gain is biased by more, and few are known as exactly",
         _GAPS,
     )
 

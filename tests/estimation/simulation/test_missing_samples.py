@@ -244,6 +244,15 @@ def test_filling_errs_by_the_bend_of_an_input_over_the_gap():
     assert filling_error(run, "F", "foh") == pytest.approx(500**-0.5)
 
 
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_filling_leaves_no_error_in_an_input_of_one_level(hold):
+    """Of a slower clock, too, which has no three samples in a row to show a bend."""
+    mask = np.arange(100) % 10 != 0
+    level = np.full(100, 0.1)
+    run = casid.Record({"F": without(level, mask)}, {"F": "N"}, Ts=1.0, missing={"F": mask})
+    assert filling_error(run, "F", hold) == 0.0
+
+
 def test_inputs_with_the_same_gaps_are_named_together():
     """Rows that a file leaves out are gaps of every input: one sentence says so."""
     m = casid.Model("two forces")

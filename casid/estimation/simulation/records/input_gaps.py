@@ -94,17 +94,20 @@ def long_gaps(record: Record, name: str) -> BoolArray:
 
 
 def filling_error(record: Record, name: str, hold: Hold) -> float:
-    """The rms error that filling may leave in an input, over the rms of the input about its mean.
+    """The rms error that filling may leave in an input, over the input's standard deviation.
 
     A gain estimated from the input is then biased by that share at most (Cauchy-Schwarz). A held
     input may have stepped anywhere in a gap between two levels, and has not between two equal ones.
-    A straight line over an interval h is off by u'' h^2 / 8 at most, u'' by second differences.
+    A straight line over an interval h is off by u'' h^2 / 8 at most, u'' by second differences; of
+    an input that has no three samples in a row it may be off by any amount.
 
     Parameters
     ----------
     name : an input that the record has, with missing samples in short gaps.
     """
     u, missing = record[name], record.is_missing(name)
+    if np.ptp(u[~missing]) == 0.0:
+        return 0.0
     spread = float(np.std(u[~missing]))
     bends = np.diff(u, 2)[~(missing[:-2] | missing[1:-1] | missing[2:])]
     bend = float(np.sqrt(np.mean(bends**2))) if bends.size else np.inf
@@ -117,9 +120,7 @@ def filling_error(record: Record, name: str, hold: Hold) -> float:
         else:
             error = bend * (stop - first + 1) ** 2 / 8
         total += (stop - first) * error**2
-    if total == 0.0:
-        return 0.0
-    return float(np.sqrt(total / record.N) / spread) if spread else np.inf
+    return float(np.sqrt(total / record.N) / spread)
 
 
 def has_row_at_every_step(model: Model, record: Record, name: str) -> bool:
