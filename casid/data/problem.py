@@ -215,9 +215,9 @@ class Problem(Presented):
     def columns_in(
         self, there: Collection[str], mapping: Mapping[str, str] | None = None
     ) -> dict[str, ColumnSpec]:
-        """`columns` as a file with the columns `there` has them.
+        """The `columns` to read in a file that has the columns `there`, by their names in it.
 
-        Without those of channels beside the model's, and of their sources, that the file lacks.
+        Channels beside the model's that the file lacks, and their sources, are left out.
         """
         needed = {*self.model.inputs, *self.model.outputs}
         for name, entry in self.derived.items():

@@ -1,6 +1,7 @@
 """Attempts that may fail: a candidate whose numbers break down is left out, and the search goes on.
 
-The one place where a numerical failure, or the end of the time limit, is caught in a diagnosis.
+The one place where a numerical failure, or the end of the time limit, leaves out a part of a
+diagnosis. A divergence that another start may mend is caught where that start is tried.
 """
 
 from __future__ import annotations

@@ -101,7 +101,12 @@ class Unknowns:
         return len(self.variables) - 1
 
     def keep_near(self, places: Array, values: Array) -> None:
-        """Bound unknowns, -1 for none, by the range of columns (N, n) and its width beside it."""
+        """Bound n unknowns to the ranges of columns (N, n), each wider by its width on either side.
+
+        Parameters
+        ----------
+        places : (n,) of the unknowns among the variables; -1 for a column that bounds none.
+        """
         low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
         for i, a, b in zip(places.tolist(), low, high, strict=True):
             if i >= 0 and np.isfinite(b - a) and b > a:

@@ -116,7 +116,7 @@ class PlainModel:
 
     @property
     def memory_size(self) -> int:
-        """Numbers that a step keeps: past outputs and inputs, and 1 after the first sample."""
+        """How many numbers a step keeps: past outputs and inputs, and if there are any."""
         kept = [d.kept for d in self.sampled_delays] + [d.kept for d in self.sampled_dead_times]
         return sum(kept) + 1 if kept else 0
 

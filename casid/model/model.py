@@ -114,8 +114,8 @@ class Model(NamedQuantities, Viewed):
         rate : the state whose derivative the balance determines.
         inertia, terms : expressions in SI.
         unit : in which terms are shown, any of their dimension. Default, the first that applies:
-            the unit of a term that is a signal alone; that of an earlier balance of this dimension;
-            for an angle, the rate's own unit over s; the SI unit that most terms have.
+            the unit of a term that is a signal alone; that of an earlier balance of this SI unit;
+            for an angle or a share of inertia 1, its own unit over s; the SI unit of most terms.
         """
         state = self._state_name(rate)
         self._require_no_equation(state)

@@ -8,7 +8,7 @@ from casid.estimation.simulation.minimization import Fit
 
 
 def with_value(fit: Fit, name: str, value: float) -> Fit:
-    """A fit of which one variable has another value, and nothing else is another."""
+    """A copy of a fit in which one variable has another value; all else is unchanged."""
     x = fit.x.copy()
     x[fit.criterion.names.index(name)] = value
     return replace(fit, solution=replace(fit.solution, x=x))

@@ -425,7 +425,7 @@ def _solution(model: Model, effects: Sequence[Effect]) -> Explicit:
 def _modes_at_peaks(model: Model, peaks: Sequence[Peak], sizes: Sizes) -> list[Effect]:
     """Narrow modes at peaks of the residual's spectrum, which no frequency of the catalogue shows.
 
-    What is faster than all frequencies of the catalogue a step of the simulation does not resolve.
+    A step of the simulation does not resolve what is faster than all of these frequencies.
     """
     fastest = mode_frequencies(sizes)[-1]
     pitches = [2 * np.pi * peak.frequency for peak in peaks]

@@ -117,7 +117,7 @@ class SimulationError:
         return other
 
     def for_columns(self) -> SimulationError:
-        """The same for the columns of many records, which are worth compiled steps; no fit."""
+        """The same for columns of many records: steps are compiled, initial states not bounded."""
         other = copy.copy(self)
         other._is_bounding, other._is_for_many, other._simulators = False, True, {}
         return other

@@ -211,8 +211,8 @@ class ContactRanges:
     )
     of_stores: tuple[float, ...] = _is(
         (-0.5, 0.0),
-        "further ones for a store: what fills it may be short peaks, above which it seldom is, and "
-        "its overflow at work for most of the time",
+        "further ones for a store: where short peaks make up most of its range, it may run over "
+        "for most of the time, at or below the middle of that range",
         _CONTACT,
     )
     one: float = _is(

@@ -126,11 +126,11 @@ def is_scheduled_by_state(effect: Effect) -> bool:
 
 
 def inhibited_parameter(model: Model, name: str, state: str, size: Motion) -> Effect:
-    """The coefficient p of a reaction that falls with an amount x beside it: p / (1 + r x).
+    """A coefficient p that falls with an amount or an input x beside it: p / (1 + r x).
 
-    An enzyme that its product inhibits, or what leaves take up of the light x, which saturates; r,
-    one over the x that halves p, is negative where x helps. As p (1 + r m) / (1 + r x), m the mean
-    of x (`size`), p stays what it is there.
+    That of an enzyme, which its product inhibits; the gain of light, of which leaves take up less
+    where it is strong. r, one over the x that halves p, is negative where x helps. As
+    p (1 + r m) / (1 + r x), m the mean of x (`size`), p stays what it is there.
     """
     unit = model.symbol_units[state]
     own = Parameter(
@@ -219,7 +219,7 @@ def _possible_inhibitors(model: Model, symbol: Any, inside: Mapping[str, Any]) -
 
 
 def _gained(model: Model, name: str, inside: Mapping[str, Any]) -> list[str]:
-    """The input of which a parameter is the gain, and of nothing else."""
+    """The input whose gain in the balances a parameter is, where they have it nowhere else."""
     slope = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), model.symbol(name))
     felt = {s.name() for s in ca.symvar(slope)} - {*model.parameters}
     is_alone = len(felt) == 1 and not model.parameters[name].is_known

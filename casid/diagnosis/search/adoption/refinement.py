@@ -382,9 +382,9 @@ class Refinement:
         return placed, whole_fit(model, self.split, settings, self.units, values)
 
     def fit_without(self, fit: Fit, c: Candidate, among: Sequence[Adopted]) -> Fit:
-        """The model fitted again without one effect of those it has.
+        """The model fitted again without one cause of those in it (`among`).
 
-        Where the others diverge without it, from the model as it was before any.
+        From the fit with all of them or, should that diverge, from the model as it was before any.
         """
         model = taken_out(fit.criterion.model, null_values(c))
         for values in (fit.values, values_without_any(among, fit)):

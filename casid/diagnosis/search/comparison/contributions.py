@@ -61,7 +61,7 @@ def _left(
 
 
 def values_without_any(adopted: Sequence[Adopted], fit: Fit) -> dict[str, float]:
-    """The model as it was before any effect, by the names of `fit`: each effect does nothing."""
+    """The model as it was before any effect, by the names of `fit`: effects at null values."""
     nothing = {k: v for a in adopted for k, v in null_values(a.candidate).items()}
     bounds = {name: fit.criterion.model.parameters[name] for name in nothing}
     start = adopted[0].before.fit.values if adopted and adopted[0].before else fit.values

@@ -128,9 +128,9 @@ def output_spread(data: Sequence[Signals]) -> Array:
 
 
 def window_cuts(N: int, window: int) -> Array:
-    """(windows + 1,) where windows begin, and N: as many as fit with `window` samples or more each.
+    """(windows + 1,) where windows begin, and N: as many as have `window` samples or more each.
 
-    They differ by one sample at most; a record shorter than `window` is one of them.
+    Their lengths differ by one sample at most; a record shorter than `window` is one window.
     """
     return np.linspace(0, N, max(N // window, 1) + 1).astype(int)
 
