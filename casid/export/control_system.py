@@ -16,7 +16,7 @@ from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import function_of
 from casid.export.naming import checked_path, written_by
 from casid.export.plain_model import PlainModel, plain_model
-from casid.model.identifiers import quoted
+from casid.model.identifiers import docstring_text, quoted
 
 _MAX_ORDER = 10  # as MATLAB advises: the coefficients of higher orders spread over too many decades
 
@@ -179,7 +179,7 @@ def write_control(
     """Write a Python file (.py) that makes the state space, `system`."""
     system = control_system(fitted, at, pade=pade, without_delays=without_delays)
     path = checked_path(path, "control")
-    name = " ".join(fitted.name.replace('"', "'").replace("\\", "/").split())
+    name = docstring_text(fitted.name)
     point = ", ".join(f"{n} = {v:g}" for n, v in (at or {}).items()) or "all states and inputs zero"
     late = "" if pade is None else f", delays by Pade approximations of order {pade}"
     lines = [

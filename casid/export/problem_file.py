@@ -30,7 +30,7 @@ from casid.model.declarations import Input, Parameter, Stage, State
 from casid.model.effects.effect import KINDS
 from casid.model.effects.names import unsaid
 from casid.model.formula_text import PYTHON, number_text
-from casid.model.identifiers import quoted
+from casid.model.identifiers import docstring_text, quoted
 from casid.model.model import Model
 from casid.model.units import from_si
 
@@ -159,7 +159,7 @@ class _Writer:
             first = (
                 f"{self.fitted.name}: the model with what a diagnosis found missing in {records}."
             )
-        lines = textwrap.wrap(first.replace('"', "'").replace("\\", "/"), _WIDTH - 3)
+        lines = textwrap.wrap(docstring_text(first), _WIDTH - 3)
         lines[0] = f'"""{lines[0]}'
         lines.append("")
         for cause in self.fitted.causes:
@@ -171,10 +171,7 @@ class _Writer:
             text = f"{cause.words} [{cause.kind}]{what}: "
             text += f"{', '.join(cause.parameters)}{constants}"
             lines += textwrap.wrap(
-                text.replace('"', "'").replace("\\", "/"),
-                _WIDTH,
-                initial_indent="- ",
-                subsequent_indent="  ",
+                docstring_text(text), _WIDTH, initial_indent="- ", subsequent_indent="  "
             )
         if self.fitted.causes:
             lines.append("")

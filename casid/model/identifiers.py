@@ -21,3 +21,8 @@ def made_identifier(name: str) -> str:
 def quoted(text: str) -> str:
     """A Python string in double quotes, on one line."""
     return json.dumps(text, ensure_ascii=False)
+
+
+def docstring_text(text: str) -> str:
+    """A text on one line that ends no docstring: quotes are single, backslashes slashes."""
+    return " ".join(text.replace('"', "'").replace("\\", "/").split())
