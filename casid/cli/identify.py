@@ -19,7 +19,7 @@ from casid.cli.options import (
 )
 from casid.cli.output import Output, taken
 from casid.cli.problem_file import known_problem
-from casid.cli.request import request_of
+from casid.cli.request import names_in, request_of
 from casid.errors import DataError
 from casid.time_limit import until, wall_clock
 
@@ -157,7 +157,7 @@ def own_parameters(problem: Problem, own: str | None) -> tuple[str, ...]:
     DataError
         If the problem has no such parameter, or its value is known.
     """
-    names = tuple(name.strip() for name in own.split(",")) if own is not None else ()
+    names = tuple(names_in(own or ""))
     for name in names:
         parameter = problem.model.parameter_named(name)
         if parameter.is_known:

@@ -645,7 +645,7 @@ def test_every_record_has_its_own_of_what_the_command_line_says(here: Path) -> N
     halves = ("identify", "mass.py", "run.csv@0:6", "run.csv@6:12", "--json", "--quiet")
     refused(casid(*halves, "--own", "e"), "'e'")
     refused(casid(*halves, "--own", "d", "--set", "d=1"), "its known value is 1", "leave it out")
-    found = json.loads(casid(*halves, "--own", "d").stdout)["parameters"]
+    found = json.loads(casid(*halves, "--own", " d, ").stdout)["parameters"]
     owned = [name for name in found if name.startswith("d@")]
     assert len(owned) == 2
     assert "d" not in found
