@@ -45,6 +45,7 @@ def placed(
             progress(f"find the instants of {name_of(c.effect)}")
             what = f"the instants of {name_of(c.effect)}"
             c = refitting.attempts.attempt(what, partial(_between, refitting, at, c, known)) or c
+            what = f"the comparison of {name_of(c.effect)} with a change that stays"
             c = refitting.attempts.attempt(what, partial(_or_staying, refitting, at, c, known)) or c
         elif c.effect.sets_in and c.gain > JUMPS.promising * top:
             progress(f"find the instant of {name_of(c.effect)}")

@@ -11,12 +11,16 @@ import pytest
 import casid
 from casid.diagnosis.evidence.scores.score_tests import Family, Score, ScoreTable
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import Weighted
+from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.instants import jump_times
 from casid.diagnosis.search.instants import temporary_changes as temporary
 from casid.diagnosis.search.instants.jump_times import placed
 from casid.diagnosis.search.instants.temporary_changes import placed_changes, temporary_changes
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import SHORTLIST
+from casid.errors import SolveError
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.clock_effects import bias_step, gain_step, offset_step
@@ -103,17 +107,38 @@ def test_what_stays_is_a_jump():
     assert cause.words == "jump of k"
 
 
-def test_what_seems_to_end_just_before_the_record_is_compared_with_what_stays():
-    """Both explain as much of what was fitted, and one instant less costs less."""
+def passing() -> tuple[Refitting, Weighted, Candidate]:
+    """A jump that stays, refitted as one that ends 2 s before the record does."""
     experiments, model = [casid.Experiment(record(leaks=0.3, stays=True))], leak().model
     weighing = Weighing(experiments)
     refitting = Refitting(weighing)
     at = weighing.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
-    passing = refitting.refit(at, parameter_jump(model, "k", BEGIN, (N - 20) * TS), 0.3)
-    assert passing is not None
-    best = max(placed(refitting, at, [passing], [], lambda _: None), key=lambda c: c.merit)
+    found = refitting.refit(at, parameter_jump(model, "k", BEGIN, (N - 20) * TS), 0.3)
+    assert found is not None
+    return refitting, at, found
+
+
+def test_what_seems_to_end_just_before_the_record_is_compared_with_what_stays():
+    """Both explain as much of what was fitted, and one instant less costs less."""
+    refitting, at, found = passing()
+    best = max(placed(refitting, at, [found], [], lambda _: None), key=lambda c: c.merit)
     assert best.effect.end is None
     assert best.effect.variant == pytest.approx(BEGIN, abs=TS)
+
+
+def test_a_comparison_with_what_stays_that_fails_is_noted_and_no_instants_are(monkeypatch):
+    """The instants were found; only what stays may have been better."""
+
+    def fails(*arguments):
+        raise SolveError("it diverges")
+
+    monkeypatch.setattr(jump_times, "_or_staying", fails)
+    refitting, at, found = passing()
+    (kept,) = placed(refitting, at, [found], [], lambda _: None)
+    assert kept.effect.end is not None
+    (note,) = refitting.attempts.notes()
+    assert note.startswith("the comparison of ")
+    assert note.endswith(" with a change that stays was left out: it diverges")
 
 
 def test_a_record_without_a_change_has_none():
