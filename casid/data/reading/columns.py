@@ -75,7 +75,12 @@ def unit_of_column(table: Table, column: str) -> HeaderUnit | None:
     """The unit that the file names for a column, beside its name or in it."""
     if column in table.units:
         return written_unit(table.units[column], column)
-    return header_unit(re.sub(r"#\d+$", "", column))
+    return header_unit(as_written(column))
+
+
+def as_written(column: str) -> str:
+    """A column's name in the file: one that is there several times is read as `name#2`."""
+    return re.sub(r"#\d+$", "", column)
 
 
 def stated_otherwise(table: Table, spec: ColumnSpec) -> HeaderUnit | None:
@@ -194,7 +199,7 @@ def _read_unit(table: Table, name: str, spec: ColumnSpec) -> tuple[str, str]:
             f"{shell_option('--map', f'{name}={spec.column}:{target}')}."
         )
     if target is not None:
-        if doubt := doubtful_ending(spec.column, target):
+        if doubt := doubtful_ending(as_written(spec.column), target):
             ending, units = doubt
             ways = [shell_option("--map", f"{name}={spec.column}:{u}") for u in (*units, target)]
             raise UnitError(
@@ -277,7 +282,7 @@ def time_unit(table: Table, column: str) -> str | None:
 def is_time_name(table: Table, column: str) -> bool:
     """Whether a column is called time, in one of the ways of `_TIME_NAMES`."""
     found = unit_of_column(table, column)
-    text = re.sub(r"#\d+$", "", column)
+    text = as_written(column)
     if found is not None and found.is_sure and column not in table.units:
         stem = found.stem
         if found.unit is None or not (_is_time(found.unit) or found.unit == "1"):

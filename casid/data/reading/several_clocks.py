@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.cells import times_of
 from casid.data.reading.clocks.even_clock import UNIFORM
-from casid.data.reading.columns import ColumnSpec, Time, is_time_name, time_unit, unit_of_column
+from casid.data.reading.columns import (
+    ColumnSpec,
+    Time,
+    as_written,
+    is_time_name,
+    time_unit,
+    unit_of_column,
+)
 from casid.data.reading.faults import Survey
 from casid.data.reading.layout import NO_VALUE
 from casid.data.reading.tables import FrameTable, Table
@@ -168,8 +175,7 @@ def _holds_word(table: Table, column: str) -> bool:
 def _words(table: Table, column: str) -> set[str]:
     """The words of a name, its unit and number left out."""
     found = unit_of_column(table, column)
-    text = re.sub(r"#\d+$", "", column)
-    stem = found.stem if found is not None and column not in table.units else text
+    stem = found.stem if found is not None and column not in table.units else as_written(column)
     return {w for w in re.split(r"[\W_]+", stem.casefold()) if w}
 
 

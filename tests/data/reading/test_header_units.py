@@ -219,6 +219,12 @@ def test_an_ending_that_may_be_a_unit_or_an_index_is_settled_by_the_user(
         np.testing.assert_allclose(np.diff(record["y"]), size * np.diff(plain["y"]), atol=1e-12)
 
 
+def test_an_ending_is_that_of_the_name_without_the_number_of_a_repeated_one(csv):
+    path = csv(rows(T, header="t,a_g,a_g"))
+    with pytest.raises(UnitError, match=r"'g' at the end of its name may mean g0.*a_g#3:g0"):
+        read_record(path, {"a": ColumnSpec("a_g#3", target="m/s^2")})
+
+
 @pytest.mark.parametrize(
     ("column", "target"),
     [("T_C", "degC"), ("v_g", "m/s"), ("x_in", "m"), ("q_S", "m^3/s"), ("force_N", "N")],
