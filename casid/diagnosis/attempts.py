@@ -1,7 +1,7 @@
 """Attempts that may fail: a candidate whose numbers break down is left out, and the search goes on.
 
 The one place where a numerical failure, or the end of the time limit, leaves out a part of a
-diagnosis. A divergence that another start may mend is caught where that start is tried.
+diagnosis. A divergence that another start may avoid is caught where that start is tried.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class ExtendedFilter:
 
     Parameters
     ----------
-    places : of the noise; none of it held, none of the process acting on an output directly.
+    places : of the noise, none of which is held; no process noise acts on an output directly.
     Ts : sample time [s].
     seeds : (values, n) derivatives of the values in what a run is differentiated in. The values are
         those of all parameters of the model, then the variances of `places.sources`.
