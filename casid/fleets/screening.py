@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
+from scipy.stats import norm
 
 from casid.arrays import TINY, Array
 from casid.data.arguments import in_si
@@ -204,7 +205,7 @@ class Screen:
     def _screened_under_disturbance(
         self, record: Experiment, criterion: SimulationError, x: Array | None
     ) -> Screened | None:
-        """Scores under a disturbance with a spectrum; None where the residual shows none.
+        """Scores under a disturbance with a spectrum; None where the record shows none.
 
         The likelihood of parameters and disturbance has several maxima, and least squares may lead
         a fit in a sea far from the highest: it is begun at the asset's own parameters, and at the
@@ -220,7 +221,7 @@ class Screen:
         if not found.full.spectra:
             return None
         bare = weighing.likeliest_near(self.at.model, found, near=found.full.spectra)
-        if x is None and self._is_undetermined(bare):
+        if not bare.noise.spectra or (x is None and self._is_undetermined(bare)):
             return None
         return self._scored_under_disturbance(bare)
 
@@ -360,22 +361,33 @@ class Screen:
 
         The tests leave the parameters free to move, also beyond a bound that holds one.
         """
-        if held := held_beyond_chance(fit):
+        errors = _std_errors(fit)
+        if held := held_beyond_chance(fit) or self._far_at_bounds(fit, errors):
             return Screened(0.0, f"its own fit is held by the bound of {held[0]}")
-        return Screened(min(1.0, SCREENING.tests * p), "", self._parameters(fit))
+        return Screened(min(1.0, SCREENING.tests * p), "", self._parameters(fit, errors))
 
-    def _parameters(self, fit: Fit) -> tuple[ParameterValue, ...]:
-        """The record's own parameters with their errors, in declared units.
+    def _far_at_bounds(self, fit: Fit, errors: Array) -> tuple[str, ...]:
+        """Parameters at a bound that is farther from the asset's own value than chance has it.
 
-        (T'T)^-1 of whitened sensitivities: the noise model is taken for right. A parameter at a
-        bound has no error.
+        A disturbance may then absorb what drives them there, so that nothing holds them.
+        """
+        own, model = self.at.fit.values, self.problem.model
+        names = [n for n in fit.criterion.names if n in model.parameters]
+        p = SCREENING.share * self.level / (SCREENING.tests * len(names))
+        limits = float(norm.isf(0.5 * p)) * errors
+        found = zip(fit.criterion.variables, fit.x, limits, strict=True)
+        return tuple(
+            v.name
+            for v, x, limit in found
+            if v.name in names and not v.lower < x < v.upper and abs(x - own[v.name]) > limit
+        )
+
+    def _parameters(self, fit: Fit, errors: Array) -> tuple[ParameterValue, ...]:
+        """The record's own parameters with their errors (n,), in declared units.
+
+        A parameter at a bound has no error.
         """
         criterion, x = fit.criterion, fit.x
-        T = criterion.columns(x, 0)[1]
-        T = T.reshape(-1, T.shape[-1])
-        size = np.sqrt(np.maximum(np.einsum("ij,ij->j", T, T), np.finfo(float).tiny))
-        covariance = np.linalg.pinv((T / size).T @ (T / size), hermitian=True)
-        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / size
         is_free = [
             v.lower < value < v.upper for v, value in zip(criterion.variables, x, strict=True)
         ]
@@ -401,6 +413,18 @@ class Screen:
         if corrupted.count > corrupted.first:
             return None
         return split.whole[0] if corrupted.first else record
+
+
+def _std_errors(fit: Fit) -> Array:
+    """(n,) standard errors of a whitened fit, as if no bound held it.
+
+    (T'T)^-1 of whitened sensitivities: the noise model is taken for right.
+    """
+    T = fit.criterion.columns(fit.x, 0)[1]
+    T = T.reshape(-1, T.shape[-1])
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", T, T), TINY))
+    covariance = np.linalg.pinv((T / size).T @ (T / size), hermitian=True)
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)) / size)
 
 
 def best_scored(table: ScoreTable) -> list[int]:

@@ -20,7 +20,7 @@ from casid.diagnosis.search.comparison.contributions import contributions_of
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.search.instants.jump_times import events_of
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.thresholds import JUDGING, SCORES
+from casid.diagnosis.thresholds import JUDGING, OUTLIERS, SCORES
 from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.diagnosis.verdict.sentences import says, says_kind, says_rate_limit, why_alternative
 from casid.diagnosis.verdict.wrong_units import said_of_gain
@@ -180,7 +180,7 @@ def _outliers(search: Search, spikes: Spikes) -> Cause:
     return Cause(
         kind="outliers",
         where=spikes.channel,
-        p_value=spikes.p_value,
+        p_value=_family_wise(spikes.p_value),
         parameters=(
             Estimated("share", spikes.share, "1"),
             Estimated("size", spikes.size, _unit(search, spikes.channel)),
@@ -196,7 +196,7 @@ def _standing(search: Search, still: Standstills) -> Cause:
     return Cause(
         kind="outliers",
         where=still.channel,
-        p_value=still.p_value,
+        p_value=_family_wise(still.p_value),
         parameters=(
             Estimated("share", still.count / samples, "1"),
             Estimated("size", still.size, _unit(search, still.channel)),
@@ -216,11 +216,16 @@ def _saturation(search: Search, cut: Plateaus) -> Cause:
     return Cause(
         kind="saturation",
         where=cut.channel,
-        p_value=cut.p_value,
+        p_value=_family_wise(cut.p_value),
         parameters=(Estimated(f"limit_{cut.channel}", cut.limit, unit),),
         sentence=says_kind("saturation", cut.channel),
         description=equal,
     )
+
+
+def _family_wise(p: float) -> float:
+    """p of a test of the samples of one channel, which has its share of the false-alarm rate."""
+    return min(p / OUTLIERS.test_share, 1.0)
 
 
 def _parameters_of(adopted: Adopted, estimate: Estimate) -> tuple[Estimated, ...]:
