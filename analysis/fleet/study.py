@@ -11,7 +11,8 @@ a cause, in seas and in calm water, up to 25 of each kind spread over the fleet,
 full, which says what it saves: each kind counts as the fleet has it. Then the main process
 of 40 of them is killed (kill -9) at random moments. With --out, a run that was stopped goes on.
 
-Targets: false discoveries at most 5 %, power at least 95 % of what the same records reach singly at
+Targets: false discoveries at most 5 % (of 10 000 voyages the upper bound of their 95 % interval at
+most 6.5 %), power at least 95 % of what the same records reach singly at
 the same level, the onset of lasting causes within one voyage in 90 %, the screening at least 5
 times cheaper at no more than 2 % lost power, the same table after ten kills.
 """
@@ -44,6 +45,7 @@ SHIPS, QUICK_SHIPS = 20, 4
 KILLS, QUICK_KILLS, KILLED = 10, 0, 40
 TIMED, QUICK_TIMED = 25, 4  # records of each kind whose full search is timed
 LEVEL = 0.05
+UPPER, MANY = 0.065, 10_000  # bound of the rate of false discoveries, of as many voyages or more
 PROBLEM = Path(__file__).with_name("roll.py")
 LABELS = "{asset}_{time}.parquet"
 
@@ -241,8 +243,9 @@ def _errors(j: Judged, *, quick: bool) -> Iterator[Target | str]:
     yield holds(
         "false discoveries (Benjamini-Hochberg)",
         f"{false} of {len(found)}, up to {100 * r['high']:.1f} %",
-        "at most 5 %",
-        stays_within(false, of, LEVEL, quick=quick or len(found) < RECORDS),
+        "at most 5 %, of 10 000 voyages up to 6.5 %",
+        stays_within(false, of, LEVEL, quick=quick or len(found) < RECORDS)
+        and (r["high"] <= UPPER or len(j.truth) < MANY),
     )
     e = j.fleet.records
     by_e = set(e["record"][e["discovered_e"]])
