@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 from scipy.stats import norm
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, scaled_inverse
 from casid.data.arguments import in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
@@ -418,13 +418,10 @@ class Screen:
 def _std_errors(fit: Fit) -> Array:
     """(n,) standard errors of a whitened fit, as if no bound held it.
 
-    (T'T)^-1 of whitened sensitivities: the noise model is taken for right.
+    By the inverse of the Gauss-Newton matrix: the noise model is taken for right.
     """
-    T = fit.criterion.columns(fit.x, 0)[1]
-    T = T.reshape(-1, T.shape[-1])
-    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", T, T), TINY))
-    covariance = np.linalg.pinv((T / size).T @ (T / size), hermitian=True)
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)) / size)
+    information = fit.criterion.evaluate(fit.x).hessian
+    return np.asarray(np.sqrt(np.maximum(np.diag(scaled_inverse(information)), 0.0)))
 
 
 def best_scored(table: ScoreTable) -> list[int]:
