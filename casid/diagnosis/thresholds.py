@@ -1306,6 +1306,12 @@ class Planning:
     same: float = _is(
         0.995, "|cosine| from which two effects are indistinguishable in a record", _ISOLABILITY
     )
+    alike: float = _is(
+        0.5,
+        "|cosine| from which a pair stands in `diagnosis.json` with its energy: below it a rival "
+        "adds less than a third to the energy, and a wide model has ten thousand such pairs",
+        _ISOLABILITY,
+    )
     suspects: int = _is(3, "rivals that experiments are planned to separate", ADVICE_STUDY)
     shortest: float = _is(
         0.05, "of the predicted record below which its length is not extrapolated", _NEXT

@@ -149,13 +149,13 @@ class Isolability(Presented):
         return tuple(p for p in self.pairs if key in (p.first, p.second))
 
     def to_json(self) -> dict[str, Any]:
-        """Part of `diagnosis.json`."""
+        """Part of `diagnosis.json`: every cosine, and the pairs from `PLANNING.alike` on."""
         return {
             "margin": self.margin,
             "power": self.power,
             "effects": [list(k) for k in self.keys],
             "cosines": np.round(self.cosines, 6).tolist(),
-            "pairs": [p.to_json() for p in self.pairs],
+            "pairs": [p.to_json() for p in self.pairs if abs(p.cosine) >= PLANNING.alike],
             "groups": [[list(k) for k in g] for g in self.groups],
             "unseen": [list(k) for k in self.undetectable],
         }

@@ -144,6 +144,19 @@ def test_pairs_stand_by_their_angle_and_equals_in_one_group():
     assert len(found.pairs) == 6
 
 
+def test_the_file_lists_pairs_that_a_rival_makes_dearer_and_every_cosine():
+    angles = np.deg2rad([0.0, 45.0, 90.0])
+    found = isolability(
+        table([effect(n) for n in "abc"], np.array([np.cos(angles), np.sin(angles)]))
+    )
+    written = found.to_json()
+    assert [{*p["first"], *p["second"]} - {"torque"} for p in written["pairs"]] == [
+        {"a", "b"},
+        {"b", "c"},
+    ]
+    assert np.allclose(written["cosines"], found.cosines, atol=1e-6)
+
+
 def test_causes_are_called_by_the_law_of_their_balance():
     """In lists of what acts alike, too, a voltage is no dry friction."""
     law = "a constant voltage that opposes i, as a brush drop does"
