@@ -68,7 +68,9 @@ class Exportable:
 
         Parameters
         ----------
-        at : state or input -> its value there, in its unit; 0 SI where not named.
+        at : state or input -> its value there, in its unit; of what is not named, that where the
+            first fitted record works (`operating_point`): 0 for what passes through it, else the
+            mean.
         time : on the record's clock [s]; default the beginning of the first fitted record.
         pade : order of the Pade approximation of each delay of a sensor or an input.
         without_delays : leave out these delays; one of both is needed where there are any.

@@ -33,8 +33,8 @@ from casid.data.files import refuse_existing
     "--at",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Operating point of a state space: a state or input, in its declared unit; 0 where not "
-    "given. Repeatable.",
+    help="Operating point of a state space: a state or input, in its declared unit. Where not "
+    "given: 0 if the fitted record passes through it, else its mean there. Repeatable.",
 )
 @click.option(
     "--pade",

@@ -39,7 +39,8 @@ def control_system(
 
     Parameters
     ----------
-    at : state or input -> its value at the operating point, in its unit; 0 SI where not named.
+    at : state or input -> its value at the operating point, in its unit; what is not named has
+        its value in `FittedModel.operating_point`.
     time : on the record's clock [s], for a model whose parameters depend on it; default the
         beginning of the first fitted record.
     pade : order of the Pade approximation of every delay of a sensor or an input, which adds as
@@ -66,9 +67,8 @@ def control_system(
         )
     if pade is not None and not 1 <= pade <= _MAX_ORDER:
         raise ModelError(f"{plain.name}: pade = {pade!r}; give an order from 1 to {_MAX_ORDER}")
-    A, B, C, D = _matrices(
-        plain, fitted.model.in_si(at or {}), fitted.records[0].t0 if time is None else time
-    )
+    begin = fitted.records[0].t0 if time is None else time
+    A, B, C, D = _matrices(plain, fitted.model.in_si(_point(fitted, at)), begin)
     inputs = list(plain.inputs)
     if not inputs:
         B, D, inputs = np.zeros((len(A), 1)), np.zeros((len(C), 1)), ["none"]
@@ -141,6 +141,13 @@ def _pade(delay: float, order: int) -> list[Array]:
     return [a / delay, b / delay, c, d]
 
 
+def _point(fitted: FittedModel, at: Mapping[str, float] | None) -> dict[str, float]:
+    """State or input -> its value where the model is linearised, in its unit; 0 SI if not named."""
+    generated = {n for n, u in fitted.model.inputs.items() if u.kind == "generated"}
+    own = {n: v for n, v in fitted.operating_point.items() if n not in generated}
+    return {**own, **(at or {})}
+
+
 def _matrices(plain: PlainModel, at: Mapping[str, float], time: float) -> list[Array]:
     names = [*plain.states, *plain.inputs]
     for name in at:
@@ -163,7 +170,7 @@ def _matrices(plain: PlainModel, at: Mapping[str, float], time: float) -> list[A
         where = ", ".join(f"{n} = {at.get(n, 0.0):g}" for n in names)
         raise ModelError(
             f"{plain.name} has no finite slope at {where}; linearise at another point, "
-            "to_control({name: value})"
+            "to_control({name: value}) (--at NAME=VALUE)"
         )
     return found
 
@@ -180,7 +187,8 @@ def write_control(
     system = control_system(fitted, at, pade=pade, without_delays=without_delays)
     path = checked_path(path, "control")
     name = docstring_text(fitted.name)
-    point = ", ".join(f"{n} = {v:g}" for n, v in (at or {}).items()) or "all states and inputs zero"
+    point = ", ".join(f"{n} = {v:g}" for n, v in _point(fitted, at).items() if v)
+    point = point or "all states and inputs zero"
     late = "" if pade is None else f", delays by Pade approximations of order {pade}"
     lines = [
         f'"""{name}, linearised at {point}{late}; SI units. Written by {written_by()}."""',

@@ -116,6 +116,16 @@ class FittedModel(Saved, Exportable, Viewed):
         return dict(zip(self.model.states, self.records[0].nodes[0].tolist(), strict=True))
 
     @property
+    def operating_point(self) -> dict[str, float]:
+        """State or input -> where the first fitted record works, in its unit.
+
+        0 for what passes through it, else the mean: of inputs as recorded, of states as simulated.
+        """
+        names = {*self.model.states, *self.model.inputs}
+        found = {n: v for n, v in self.records[0].operating_point.items() if n in names}
+        return self.model.in_declared_units(found)
+
+    @property
     def Ts(self) -> float:
         """Sample time of the first fitted record [s]."""
         return self.records[0].Ts

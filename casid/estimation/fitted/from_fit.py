@@ -15,6 +15,7 @@ from casid.estimation.fitted.parts import (
     FittedRecord,
     SimulationSettings,
     fingerprint,
+    operating_point,
 )
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -107,9 +108,19 @@ def _record(criterion: SimulationError, x: Array, e: int) -> FittedRecord:
     known |= {name: criterion.value_of(name, x, e) for name in criterion.own}
     nodes = [criterion.parameter_vector(x, e, i)[1] for i in range(criterion.parts(e))]
     record = criterion.experiments[e].record
-    known_by = fingerprint(criterion.model, record)
+    states = criterion.simulated(x, e).x
+    signals = dict(zip(criterion.model.inputs, d.u.T, strict=True))
+    signals |= dict(zip(criterion.model.states, states.T, strict=True))
     return FittedRecord(
-        d.name, d.Ts, float(d.t[0]), d.N, known, np.array(nodes), known_by, record.clock
+        d.name,
+        d.Ts,
+        float(d.t[0]),
+        d.N,
+        known,
+        np.array(nodes),
+        fingerprint(criterion.model, record),
+        record.clock,
+        operating_point(signals),
     )
 
 

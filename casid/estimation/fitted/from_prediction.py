@@ -10,12 +10,15 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.record import Record
+from casid.errors import SolveError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.fitted.parts import (
     FittedRecord,
     NoiseModel,
     SimulationSettings,
     fingerprint,
+    operating_point,
 )
 from casid.estimation.prediction_error.extended_likelihood import ExtendedPredictionError
 from casid.estimation.prediction_error.likelihood import PredictionError
@@ -54,7 +57,7 @@ def predicting_model(
             FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, own, nodes, known_by, record.clock)
         )
     spread = np.std(np.concatenate([d.y for d in criterion.data]), axis=0)
-    return FittedModel(
+    found = FittedModel(
         name=model.name,
         model=model.with_si_values(values[0]).taking_si(False),
         records=tuple(records),
@@ -65,6 +68,21 @@ def predicting_model(
         ),
         noise=_noise_model(criterion, x, tuple(sources)),
     )
+    works_at = _operating_point(found, criterion.experiments[0].record)
+    first = replace(records[0], operating_point=works_at)
+    return replace(found, records=(first, *records[1:]))
+
+
+def _operating_point(fitted: FittedModel, record: Record) -> dict[str, float]:
+    """Where the model works in a record, simulated; its inputs alone where that diverges."""
+    model = fitted.model
+    inputs = {n: record[n] for n in model.inputs if n in record.channels}
+    try:
+        run = fitted.simulate(record)
+    except SolveError:
+        return operating_point(inputs)
+    states = {n: run[n if n not in inputs else f"{n} (state)"] for n in model.states}
+    return operating_point(inputs | states)
 
 
 def _noise_model(

@@ -36,6 +36,7 @@ class FittedRecord:
         state. One segment but for multiple shooting.
     fingerprint : of its inputs and of its outputs, by which the record is known again.
     clock : that of the record, which other windows of its file have too (`Record.clock`).
+    operating_point : state or input -> where the record works, SI (`operating_point`).
     """
 
     name: str
@@ -46,6 +47,7 @@ class FittedRecord:
     nodes: Array
     fingerprint: tuple[str, str] = ("", "")
     clock: str = ""
+    operating_point: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def cuts(self) -> Array:
@@ -63,6 +65,23 @@ class FittedRecord:
         if inputs != self.fingerprint[0]:
             return False
         return outputs == self.fingerprint[1] if outputs else record.name == self.name
+
+
+def operating_point(signals: Mapping[str, Array]) -> dict[str, float]:
+    """Where a record works: 0 for a signal that passes through it, else the mean of the signal.
+
+    What swings about 0 is a deviation already; a level, a speed or an absolute temperature is not.
+
+    Parameters
+    ----------
+    signals : input, or state as simulated, -> (N,) SI; samples that are missing are NaN.
+    """
+    found = {}
+    for name, values in signals.items():
+        given = values[np.isfinite(values)]
+        stays_away = given.size > 0 and bool((given > 0).all() or (given < 0).all())
+        found[name] = float(given.mean()) if stays_away else 0.0
+    return found
 
 
 def fingerprint(model: Model, record: Record) -> tuple[str, str]:
