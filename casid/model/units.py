@@ -110,8 +110,8 @@ def _terms(text: str) -> _Terms:
     cleaned = _clean(text)
     if cleaned in AMBIGUOUS:
         raise _ambiguous(text, cleaned)
-    if cleaned in ALIASES:
-        cleaned = ALIASES[cleaned]
+    with_carets = re.sub(r"(?<=[a-z])(?=\d)", "^", cleaned)  # g/cm3
+    cleaned = ALIASES.get(cleaned) or ALIASES.get(with_carets) or cleaned
     if cleaned in NAMES:
         return [(cleaned, Fraction(1))]
     return _settled(_UnitReader(text).terms_of(_with_grams(cleaned)), text)

@@ -10,13 +10,13 @@ import numpy as np
 
 from casid.data.reading.header_units import (
     HeaderUnit,
-    doubtful_ending,
     header_unit,
     likely_reading,
     settled,
     written_unit,
 )
 from casid.data.reading.layout import is_date
+from casid.data.reading.name_endings import name_ending
 from casid.data.reading.tables import Table
 from casid.errors import DataError, UnitError, shell_option
 from casid.model.units import parse_unit, same_dimension, to_si
@@ -199,12 +199,14 @@ def _read_unit(table: Table, name: str, spec: ColumnSpec) -> tuple[str, str]:
             f"{shell_option('--map', f'{name}={spec.column}:{target}')}."
         )
     if target is not None:
-        if doubt := doubtful_ending(as_written(spec.column), target):
-            ending, units = doubt
+        if ending := name_ending(as_written(spec.column), target):
+            if not ending.is_doubtful:
+                return ending.units[0], "from its name"
+            units = ending.units
             ways = [shell_option("--map", f"{name}={spec.column}:{u}") for u in (*units, target)]
             raise UnitError(
-                f"{ending!r} at the end of its name may mean {' or '.join(units)}, or be part of "
-                f"the name of a signal in {target}. Write which, as in {' or '.join(ways)}."
+                f"{ending.text!r} at the end of its name may mean {' or '.join(units)}, or be part "
+                f"of the name of a signal in {target}. Write which, as in {' or '.join(ways)}."
             )
         return target, "the model's: the file names none"
     return "1", "the file names none" if found is None else f"{found.text!r} is no unit"

@@ -19,7 +19,11 @@ _SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")
 _COMPOUND = re.compile(r"\S[/*·^]\S|[²³]$")  # signs that a compound has and a name has not
 _SPACE = re.compile(r"(.*\S)[\s,]+(\S+)")
 _LAST_IN = re.compile(r"[\s,]+in$", re.IGNORECASE)  # the word before the unit: sun in W/m^2
-_ENDING = re.compile(r".*[^\s,_][\s,_]+([^\s,_]+)")  # the last word of a name: a_hub_g, wind kt
+_QUOTIENT = re.compile(r"(.+?)_([^_]+)_(per_)?([^_]+)")
+_RATE = re.compile(r"s2?|sec|second|min|minute|hr?|hour|ms")
+_SPACE_UNIT = re.compile(r"[cdm]?m[23]|[lL]")
+_WITH_TIME = ("A", "W", "V", "N", "Pa", "J")  # as in A h, W h, V s, N s, Pa s
+_CAPITALS = ("N", "W", "J")  # single letters that are rather units than indices
 # Endings that are more often a word, an index or another unit than what the list reads: x_in is an
 # input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second, r_psi a
 # heading, x_var a variance, x_hp high-pass filtered, x_cal calibrated.
@@ -29,6 +33,11 @@ _NO_ENDINGS = frozenset(
 )
 # What the list of units does not have, as loggers write it.
 _WRITTEN = {
+    "ms2": "m/s^2",
+    "inches": "in",
+    "nmm": "N mm",
+    "ftlb": "ft lbf",
+    "ft-lb": "ft lbf",
     "sek": "s",
     "sekunde": "s",
     "sekunden": "s",
@@ -100,6 +109,10 @@ _READINGS = {
     "grad": ("deg", "degC"),
     "in lb": ("in lbf", "lbm", "lbf"),
     "in lbf": ("in lbf", "lbf"),
+    "ton": ("t",),
+    "tons": ("t",),
+    "degs": ("deg", "deg/s"),
+    "rads": ("rad", "rad/s"),
 }
 _LIKELY = {"1/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "/min": "rpm"}
 _TWO_FOLD = {
@@ -148,11 +161,11 @@ def header_unit(column: str) -> HeaderUnit | None:
             return found
         return None  # (filtered) is part of the name
     named = " / " in column or column[:2] == "t/" or _IN.fullmatch(column)
-    if not named and _reads(column) is not None:
+    if not named and one_reading(column) is not None:
         return None  # a unit without a name; t / s and t in s are times in seconds, not tonnes
     space = _SPACE.fullmatch(column)
-    if space and "/" in space[2][1:] and not space[1].endswith("/") and _reads(space[2]):
-        return HeaderUnit(space[2], _reads(space[2]), _LAST_IN.sub("", space[1]), True)
+    if space and "/" in space[2][1:] and not space[1].endswith("/") and one_reading(space[2]):
+        return HeaderUnit(space[2], one_reading(space[2]), _LAST_IN.sub("", space[1]), True)
     if compound := _compound_ending(column):
         return compound
     for pattern in (_IN, _SLASH):
@@ -161,12 +174,14 @@ def header_unit(column: str) -> HeaderUnit | None:
             found = written_unit(match[2], match[1])
             if found.unit is not None or found.why:
                 return found
+    if quotient := _quotient_ending(column):
+        return quotient if quotient.unit else None
     stem, underscore, ending = column.rpartition("_")
     if stem and underscore and ending:
-        hint = None if _is_no_ending(ending) else _reads(ending)
+        hint = None if is_no_ending(ending) else one_reading(ending)
         return HeaderUnit(ending, hint, stem, False) if hint else None
-    if space and not _is_no_ending(space[2]) and (len(space[2]) > 1 or not space[2].isalpha()):
-        hint = _reads(space[2])
+    if space and not is_no_ending(space[2]) and (len(space[2]) > 1 or not space[2].isalpha()):
+        hint = one_reading(space[2])
         return HeaderUnit(space[2], hint, space[1], space[2][0] in "°%") if hint else None
     return None
 
@@ -181,18 +196,40 @@ def _compound_ending(column: str) -> HeaderUnit | None:
     if not (stem and underscore and _COMPOUND.search(ending)):
         return None
     above, slash, below = ending.partition("/")
-    if slash and _is_no_ending(above) and not (_is_time(below) and not _is_time(above)):
+    if slash and is_no_ending(above) and not (_is_time(below) and not _is_time(above)):
         return None
     found = written_unit(ending, stem)
     return found if found.unit is not None or found.why else None
 
 
+def _quotient_ending(column: str) -> HeaderUnit | None:
+    """A quotient whose slash is an underscore: rate_deg_s, rho_kg_m3, turn_deg_per_s.
+
+    Its unit is None where the words may be a product as well: torque_N_m, charge_mA_h.
+    """
+    match = _QUOTIENT.fullmatch(column)
+    if match is None or not match[2][0].isalpha():
+        return None
+    stem, above, per, below = match.groups()
+    unit = one_reading(f"{above}/{below}")
+    flow = above in {"l", "L"} and _is_time(below)
+    if unit is None or not (per or flow or not is_no_ending(above)):
+        return None
+    is_rate = _RATE.fullmatch(below) and not any(same_dimension(above, u) for u in _WITH_TIME)
+    is_density = _SPACE_UNIT.fullmatch(below) and not (above == "kg" and below.endswith("2"))
+    if per or flow or (is_rate and (len(above) > 1 or above == "m")):
+        return HeaderUnit(f"{above}_{per or ''}{below}", unit, stem, False)
+    if len(above) == 1 and above not in _CAPITALS:
+        return None  # an index: of i_d_A, the direct axis
+    return HeaderUnit(f"{above}_{below}", unit if is_density else None, stem, False)
+
+
 def _is_time(text: str) -> bool:
-    unit = _reads(text)
+    unit = one_reading(text)
     return unit is not None and same_dimension(unit, "s")
 
 
-def _is_no_ending(text: str) -> bool:
+def is_no_ending(text: str) -> bool:
     """Whether an ending is rather a word; of single letters the case tells."""
     return text in _NO_ENDINGS or (len(text) > 1 and text.casefold() in _NO_ENDINGS)
 
@@ -202,9 +239,9 @@ def written_unit(text: str, stem: str = "") -> HeaderUnit:
     text = text.strip()
     text = re.sub(r"^[\[(<]\s*(.*?)\s*[\])>]$", r"\1", text) if len(text) > 1 else text
     word = _IN_WORD.fullmatch(text) if text.casefold() not in _TWO_FOLD else None
-    if word and (_reads(word[1]) is not None or _readings_of(word[1])):  # no inch times cm
+    if word and (one_reading(word[1]) is not None or _readings_of(word[1])):  # no inch times cm
         text = word[1]
-    unit = _reads(text)
+    unit = one_reading(text)
     if unit is not None:
         return HeaderUnit(text, unit, stem, True)
     if re.fullmatch(r"\d+", text):  # an index
@@ -213,13 +250,13 @@ def written_unit(text: str, stem: str = "") -> HeaderUnit:
 
 
 @lru_cache(maxsize=4096)
-def _reads(text: str) -> str | None:
+def one_reading(text: str) -> str | None:
     """The unit of the list that `text` stands for, where there is one alone."""
     if not text:
         return "1"
     if text.casefold() in _TWO_FOLD:
         return None
-    for candidate in (text, _WRITTEN.get(text.casefold()), _symbols(text)):
+    for candidate in (_WRITTEN.get(text.casefold()), text, _symbols(text)):
         if candidate is None:
             continue
         try:
@@ -250,32 +287,14 @@ def _readings_of(text: str) -> str:
 
 def settled(found: HeaderUnit, target: str) -> str | None:
     """The one reading of an ambiguous unit that has the target's dimension; None otherwise."""
-    fits = _fitting(found.text, target)
+    fits = fitting_readings(found.text, target)
     return fits[0] if len(fits) == 1 else None
 
 
-def _fitting(text: str, target: str) -> list[str]:
+def fitting_readings(text: str, target: str) -> list[str]:
     """The readings of an ambiguous unit that have the target's dimension."""
     readings = _READINGS.get(text) or _READINGS.get(text.casefold(), ())
     return [u for u in readings if same_dimension(u, target)]
-
-
-def doubtful_ending(column: str, target: str) -> tuple[str, list[str]] | None:
-    """The last word of a column's name, and the units of the target's dimension that it may be.
-
-    As of a_g, T_C and `wind kt`: it may as well be an index, as of the ground and a cold side. None
-    where it is no such unit, or one of the target's size alone.
-    """
-    match = _ENDING.fullmatch(column)
-    if match is None or _is_no_ending(match[1]) or _reads(match[1]) is not None:
-        return None
-    own = parse_unit(target)
-    units = [
-        text
-        for text in _fitting(match[1], target)
-        if (unit := parse_unit(text)).factor != own.factor or unit.offset != own.offset
-    ]
-    return (match[1], units) if units else None
 
 
 def likely_reading(text: str) -> str | None:

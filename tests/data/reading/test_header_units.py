@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from casid.data.quality import check
 from casid.data.reading.columns import ColumnSpec
-from casid.data.reading.header_units import doubtful_ending, header_unit
+from casid.data.reading.header_units import header_unit
+from casid.data.reading.name_endings import name_ending
 from casid.data.reading.record_file import read_record
 from casid.errors import DataError, UnitError
 from tests.support.text_tables import T, rows
@@ -200,6 +201,12 @@ def test_a_unit_of_time_other_than_the_one_that_the_file_states_is_reported(csv)
         ("wind kt", "m/s", [1852 / 3600]),
         ("Temp C", "K", [1.0]),
         ("range_nm", "m", [1852.0, 1e-9]),
+        ("x_in", "m", [0.0254]),
+        ("h_foot", "m", [0.3048]),
+        ("age_d", "s", [86400.0]),
+        ("V_l", "m^3", [1e-3]),
+        ("m_ton", "kg", [1e3]),
+        ("TempC", "K", [1.0]),
     ],
 )
 def test_an_ending_that_may_be_a_unit_or_an_index_is_settled_by_the_user(
@@ -207,9 +214,10 @@ def test_an_ending_that_may_be_a_unit_or_an_index_is_settled_by_the_user(
 ):
     """The acceleration of the ground, or one in g: nothing in the file says which."""
     path = csv(rows(T, header=f"t,{column},other"))
-    found = doubtful_ending(column, target)
+    found = name_ending(column, target)
     assert found is not None
-    ending, units = found
+    assert found.is_doubtful
+    ending, units = found.text, found.units
     with pytest.raises(UnitError, match=rf"'{ending}' at the end of its name may mean") as caught:
         read_record(path, {"y": ColumnSpec(column, target=target)})
     plain = read_record(path, {"y": (column, target, target)})
@@ -227,8 +235,62 @@ def test_an_ending_is_that_of_the_name_without_the_number_of_a_repeated_one(csv)
 
 @pytest.mark.parametrize(
     ("column", "target"),
-    [("T_C", "degC"), ("v_g", "m/s"), ("x_in", "m"), ("q_S", "m^3/s"), ("force_N", "N")],
-)
+    [("T_C", "degC"), ("v_g", "m/s"), ("T_in", "K"), ("q_S", "m^3/s"), ("force_N", "N"),
+     ("acc_m_s2", "m/s^2"), ("i_m_s", "A"), ("x_m_s", "m"), ("motor.T", "N m"), ("p_min", "Pa"),
+     ("phi_cal", "rad"), ("forceN", "N")],
+)  # fmt: skip
 def test_an_ending_of_another_quantity_or_of_the_model_s_own_unit_leaves_no_doubt(column, target):
     """In the same unit either way, or a word, or an index alone."""
-    assert doubtful_ending(column, target) is None
+    assert name_ending(column, target) is None
+
+
+@pytest.mark.parametrize(
+    ("column", "target", "size"),
+    [("p_bar", "Pa", 1e5), ("p_oil_psi", "Pa", 6894.757293168361), ("level_percent", "1", 0.01),
+     ("valve_pct", "1", 0.01), ("delay_ms", "s", 1e-3), ("m_grams", "kg", 1e-3),
+     ("h_feet", "m", 0.3048), ("h_inches", "m", 0.0254), ("P_hp", "W", 745.6998715822702),
+     ("w_degs", "rad/s", np.pi / 180), ("M_Nmm", "N m", 1e-3), ("a_ms2", "ft/s^2", 1 / 0.3048),
+     ("gyro_deg_s", "rad/s", np.pi / 180), ("acc_x_m_s2", "ft/s^2", 1 / 0.3048),
+     ("q_l_min", "m^3/s", 1e-3 / 60), ("q_m3_h", "m^3/s", 1 / 3600), ("v_km_h", "m/s", 1 / 3.6),
+     ("M_kN_m", "N m", 1e3), ("k_kN_m", "N/m", 1e3), ("rho_g_cm3", "kg/m^3", 1e3),
+     ("rate_deg_per_s", "rad/s", np.pi / 180), ("heat_kW_m2_K", "W/(m^2 K)", 1e3),
+     ("gyro.deg_s", "rad/s", np.pi / 180), ("yaw-rate deg s", "rad/s", np.pi / 180),
+     ("angle.deg", "rad", np.pi / 180), ("angleDeg", "rad", np.pi / 180),
+     ("pressureBar", "Pa", 1e5), ("PressureKPa", "Pa", 1e3), ("motorSpeedRPM", "rad/s", np.pi / 30),
+     ("carSpeedKmh", "m/s", 1 / 3.6)],
+)  # fmt: skip
+def test_an_ending_is_the_unit_where_the_model_wants_its_quantity(csv, column, target, size):
+    """In the model's unit, where the file names another one, all numbers were wrong by a factor."""
+    path = csv(rows(T, header=f"t,{column},other"))
+    record = read_record(path, {"y": ColumnSpec(column, target=target)})
+    plain = read_record(path, {"y": (column, target, target)})
+    np.testing.assert_allclose(np.diff(record["y"]), size * np.diff(plain["y"]), rtol=1e-9)
+    assert "unit from its name" in "; ".join(record.provenance)
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "stem"),
+    [("gyro_deg_s", "deg/s", "gyro"), ("acc_m_s2", "m/s2", "acc"), ("q_l_min", "l/min", "q"),
+     ("q_in_m3_h", "m3/h", "q_in"), ("rho_kg_m3", "kg/m3", "rho"), ("E_W_m2", "W/m2", "E"),
+     ("c_mol_l", "mol/l", "c"), ("turn_deg_per_s", "deg/s", "turn"), ("a_ms2", "m/s^2", "a"),
+     ("speed_meters_per_second", "meters/second", "speed")],
+)  # fmt: skip
+def test_an_underscore_is_the_slash_of_a_rate_or_a_density(column, unit, stem):
+    """Not the last word alone, a second to the square or a volume."""
+    found = header_unit(column)
+    assert found is not None
+    assert (found.unit, found.stem, found.is_sure) == (unit, stem, False)
+
+
+@pytest.mark.parametrize("column", ["torque_N_m", "J_kg_m2", "charge_mA_h", "F_N_s"])
+def test_words_that_may_be_a_product_or_a_quotient_are_no_unit_of_their_last_word(column):
+    assert header_unit(column) is None
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"), [("i_d_A", "A"), ("T_min_K", "K"), ("x_m_mm", "mm"), ("u_s_V", "V")]
+)
+def test_an_index_before_a_unit_is_no_part_of_it(column, unit):
+    found = header_unit(column)
+    assert found is not None
+    assert found.unit == unit
