@@ -209,7 +209,11 @@ def of_input(system: System, i: Input, s: Scales) -> Iterator[Effect]:
     else:
         R = s.rms[i.name]
         yield made("sensor_bias", lambda a, u: staged(u, i.hold, sub)[..., None] - R * a[0])
-        yield made("sensor_scale", lambda a, u: staged(u, i.hold, sub)[..., None] / (1 + a[0]))
+        zero = zero_of(i.unit)
+        yield made(
+            "sensor_scale",
+            lambda a, u: zero + (staged(u, i.hold, sub)[..., None] - zero) / (1 + a[0]),
+        )
     if system.law is not None and i is system.inputs[0]:
         return  # what is commanded next is not known yet: a loop has no other hold
     one = staged
@@ -248,7 +252,8 @@ def of_sensor(system: System, j: int, s: Scales) -> Iterator[Effect]:
         return np.repeat(lagged(Y[::2, j], Y[1::2, j], a[0] * system.Ts, h), 2, axis=0)
 
     yield made("sensor_bias", lambda a, Y: Y[:, j] + R * a[0])
-    yield made("sensor_scale", lambda a, Y: Y[:, j] * (1 + a[0]), limit=0.8)
+    zero = zero_of(o.unit)
+    yield made("sensor_scale", lambda a, Y: Y[:, j] + a[0] * (Y[:, j] - zero), limit=0.8)
     yield made("time_delay", delayed, positive=True, limit=20.0)
     yield made("sensor_lag", behind, positive=True, limit=30.0)
     for i, other in enumerate(system.outputs):
@@ -258,9 +263,18 @@ def of_sensor(system: System, j: int, s: Scales) -> Iterator[Effect]:
             def mixed(a: Array, Y: Array, i: int = i, ratio: float = ratio) -> Array:
                 return np.asarray(Y[:, j] + a[0] * ratio * Y[:, i])
 
-            yield made("cross_axis", mixed)
+            def drawn(a: Array, Y: Array, i: int = i) -> Array:
+                return np.asarray(Y[:, j] + a[0] * (Y[:, i] - Y[:, j]))
+
+            is_heat = o.unit == "K"  # a thermometer lies between two bodies
+            yield made("cross_axis", drawn if is_heat else mixed, positive=is_heat)
     if system.more.get("rectified") == o.name:
         yield made("rectified", lambda a, Y: abs(Y[:, j]), fixed=True, limit=1.0, positive=True)
+
+
+def zero_of(unit: str) -> float:
+    """The reading that a gain leaves as it is: a thermometer is adjusted in melting ice."""
+    return 273.15 if unit == "K" else 0.0
 
 
 def catalogue_of(system: System, s: Scales) -> list[Effect]:

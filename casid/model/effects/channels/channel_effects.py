@@ -312,7 +312,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     units |= {n: model.inputs[n].unit for n in measured}
     for channel, unit in units.items():
         level = sizes.levels.get(channel, 0.0)
-        points = dict.fromkeys((level, *zeros_of_reading(model, channel, unit)))
+        points = dict.fromkeys((level, *zeros_of_reading(model, channel, unit, level)))
         effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
     effects += [sensor_scale(model, n) for n in model.inputs if is_command(model, n)]
@@ -332,14 +332,20 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     return [*effects, *_holds_of_all(model)]
 
 
-def zeros_of_reading(model: Model, channel: str, unit: str) -> list[float]:
+def zeros_of_reading(model: Model, channel: str, unit: str, level: float) -> list[float]:
     """The readings from which a gain may err besides the operating point: the zero of the scale.
 
     A thermometer is adjusted at the zero of degC or degF. Absolute zero means nothing to it: one
-    that is declared in K has no zero here.
+    that is declared in K is adjusted in melting ice, unless it shows a difference.
+
+    Parameters
+    ----------
+    level : where the channel stays, SI.
     """
-    zero = float(to_si(0.0, model.unit_of(channel)))
-    return [zero] if zero or not same_dimension(unit, "K") else []
+    zero, ice = float(to_si(0.0, model.unit_of(channel))), float(to_si(0.0, "degC"))
+    if zero or not same_dimension(unit, "K"):
+        return [zero]
+    return [ice] if level > 0.5 * ice else []
 
 
 def _commands_with_a_zero(model: Model) -> list[str]:

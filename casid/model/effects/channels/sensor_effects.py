@@ -120,8 +120,8 @@ def curved_reading(model: Model, channel: str, about: float = 0.0) -> Effect:
 def sensor_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Sensors that may show an absolute value, curve, or sit away from the assumed point."""
     for channel, (_, unit) in model.outputs.items():
-        points = zeros_of_reading(model, channel, unit)
         level = sizes.levels.get(channel, 0.0)
+        points = zeros_of_reading(model, channel, unit, level)
         yield from (curved_reading(model, channel, a) for a in dict.fromkeys((level, *points)))
         is_shown = made_identifier(f"rectified_{channel}") in model.parameters
         if shows_sizes(*sizes.readings.get(channel, (-1.0, 1.0))) and not is_shown:

@@ -234,9 +234,19 @@ def heated(unit: str) -> casid.Model:
     return m
 
 
-@pytest.mark.parametrize(("unit", "points"), [("degC", {400.0, 273.15}), ("K", {400.0})])
-def test_the_gain_of_a_thermometer_errs_about_its_level_and_the_zero_of_its_scale(unit, points):
-    sizes = dataclasses.replace(SIZES, levels={"reading": 400.0})
+@pytest.mark.parametrize(
+    ("unit", "level", "points"),
+    [
+        ("degC", 400.0, {400.0, 273.15}),
+        ("K", 400.0, {400.0, 273.15}),
+        ("K", 8.0, {8.0}),  # a difference of temperatures
+    ],
+)
+def test_the_gain_of_a_thermometer_errs_about_its_level_and_the_zero_of_its_scale(
+    unit, level, points
+):
+    """One that is declared in K is adjusted in melting ice all the same."""
+    sizes = dataclasses.replace(SIZES, levels={"reading": level})
     found = channel_effects_of(heated(unit), sizes, {})
     gains = [e for e in found if (e.kind, e.where) == ("sensor_scale", "reading")]
     assert {e.constants["about"] for e in gains} == points
@@ -338,8 +348,8 @@ def test_a_gain_errs_from_the_zero_of_its_sensor_and_from_where_its_channel_stay
     )
     scales = [e for e in channel_effects_of(m, sizes, {}) if e.kind == "sensor_scale"]
     points = [(e.where, e.constants.get("about", 0.0)) for e in scales]
-    # The zero of a temperature scale means nothing to its sensor; a command errs from its zero.
-    assert points == [("a", 9.81), ("a", 0.0), ("T", 300.0), ("F", 0.0)]
+    # Absolute zero means nothing to a thermometer; a command errs from its zero.
+    assert points == [("a", 9.81), ("a", 0.0), ("T", 300.0), ("T", 273.15), ("F", 0.0)]
 
 
 def test_a_command_has_a_zero_of_its_own_where_a_constant_term_does_not_stand_for_it():
