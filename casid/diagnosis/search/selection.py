@@ -45,7 +45,11 @@ from casid.diagnosis.search.comparison.simulation_errors import (
     why_much_worse,
     why_not_adopted,
 )
-from casid.diagnosis.search.disturbance.disturbance_price import is_random, pays
+from casid.diagnosis.search.disturbance.disturbance_price import (
+    is_random,
+    pays,
+    with_lines_beside_disturbances,
+)
 from casid.diagnosis.search.disturbance.sole_disturbance import pays_beside, sole_disturbance
 from casid.diagnosis.search.refits.soft_stops import is_soft_stop
 from casid.diagnosis.search.refusals import ACCEPTED, LEAVES_MORE, Refusal
@@ -62,6 +66,7 @@ SHARPNESS = "the sharpness of a reversal"
 BLUNT = "the test of causes that a blunt reversal brings about"
 POWERS = "the powers by which parameters change with states and channels"
 INSTANTS = "the instants of changes in the whole records"
+LINES = "the likelihoods of lines beside a random disturbance"
 BESIDE = "the instant of a change beside a random disturbance"
 EVENT = "the comparison of what sets in with other changes at its instant"
 MOTION = "the motion of a further part when the record begins"
@@ -217,6 +222,11 @@ class Selection:
         found = attempt("the refits of the candidates", refits)
         if not found:
             return []
+        if at.noise_absorbs_misfit and not search.weighing.takes_disturbances:
+            lines = partial(
+                with_lines_beside_disturbances, search, self.fit, found, len(table.tested)
+            )
+            found = attempt(LINES, lines) or found
         if not search.first_candidates:
             search.first_candidates = found
         if not search.leads(found, table):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -109,3 +110,30 @@ def pays(bare: Weighted, left: Weighted, causes: Sequence[Candidate], tested: in
     gain = minus_log_likelihood(bare) - minus_log_likelihood(left, bare.criterion)
     n = bare.criterion.n_samples
     return 2 * gain > sum(price_of(c.effect.cost, n, tested) for c in causes)
+
+
+def with_lines_beside_disturbances(
+    search: Search, fit: Fit, found: Sequence[Candidate], tested: int
+) -> list[Candidate]:
+    """Candidates none of which pays by what it leaves: lines with their gains beside disturbances.
+
+    A choice without a parameter, as a hold is, pays by the least gain.
+    In a sea a line and its neighbours are so narrow a band that what it takes out of the misfit
+    counts as a few independent samples. The likelihoods tell it from a narrow band of waves.
+
+    Parameters
+    ----------
+    fit : the model without the candidates, by its simulation error.
+    tested : effects among which each was chosen.
+    """
+    if any(c.merit > 0 and c.unknowns for c in found):
+        return list(found)
+    out = []
+    for c in found:
+        if c.effect.kind == "periodic_disturbance":
+            bare, left = search.under_disturbance(fit), search.under_disturbance(c.fit)
+            gain = 2 * (minus_log_likelihood(bare) - minus_log_likelihood(left, bare.criterion))
+            cost = price_of(c.effect.cost, bare.criterion.n_samples, tested)
+            c = replace(c, gain=gain, cost=cost) if gain > cost else c
+        out.append(c)
+    return sorted(out, key=lambda c: -c.merit)

@@ -5,8 +5,8 @@ them all against a disturbance in their place. Three checks predict that without
 residual under the disturbance is random, and none of the effects that score best, with the
 disturbance or under the sensors' noise alone, raises the likelihood with the disturbance by more
 than its penalty. An effect that by its score explains most of the misfit is refitted beside the
-disturbance. All that score best are, if one is significant there, or if the model errs by many
-times the sensors' noise, where linearised scores are inexact.
+disturbance, and the best of these in its place. All that score best are, if one is significant
+there, or if the model errs by many times the sensors' noise, where linearised scores are inexact.
 """
 
 from __future__ import annotations
@@ -70,8 +70,13 @@ def sole_disturbance(
     is_far = error_over_noise(base, start.noise) > RESTARTS.far and not adopted
     if is_far and _change_pays(search, start, bare, alone):
         return None
-    if _refit_pays(bare, table, beside.refits_of(bare, _explaining(start, alone))):
+    explaining = _explaining(start, alone)
+    if _refit_pays(bare, table, beside.refits_of(bare, explaining)):
         return None
+    for c in search.refits_of(start, explaining[:1]):
+        # Beside a slow disturbance a constant gains nothing: that one explains it, less simply.
+        if pays(bare, search.under_disturbance(c.fit), [c], len(alone.tested)):
+            return None
     if is_far or beside.has_alarm(bare, table):
         if _refit_pays(bare, table, beside.round(bare, table, adopted)):
             return None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -17,7 +19,10 @@ from casid.diagnosis.evidence.scores.signature_columns import extended_columns
 from casid.diagnosis.evidence.whitening import prewhitening
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted, minus_log_likelihood
-from casid.diagnosis.search.disturbance.disturbance_price import price_of
+from casid.diagnosis.search.disturbance.disturbance_price import (
+    price_of,
+    with_lines_beside_disturbances,
+)
 from casid.diagnosis.search.disturbance.sole_disturbance import sole_disturbance
 from casid.diagnosis.search.instants.jump_times import placed_by_tangents
 from casid.diagnosis.search.instants.temporary_changes import temporary_changes
@@ -89,15 +94,31 @@ def test_in_a_sea_of_many_times_the_noise_refits_tell_whether_anything_has_to_be
     assert (sole_disturbance(search, start, base) is None) == (drag > 0.0)
 
 
-def test_a_line_beside_a_sea_is_sought() -> None:
-    """In linear waves the line of an engine, in rad/s^2, adds its own response: |1/(iw + B)|."""
+def with_engine(size: float, w: float) -> casid.Record:
+    """In linear waves the line of an engine [rad/s^2, rad/s] adds its own response."""
     sea = noisy(record(1))
-    engine, w = 0.04, 6.0  # rad/s^2, and rad/s above the roll and its waves
-    rate = engine / w * np.sin(w * sea.Ts * np.arange(sea.N))
-    roll = -engine / w**2 * np.cos(w * sea.Ts * np.arange(sea.N))
+    rate = size / w * np.sin(w * sea.Ts * np.arange(sea.N))
+    roll = -size / w**2 * np.cos(w * sea.Ts * np.arange(sea.N))
     moved = {"fin": sea["fin"], "roll": sea["roll"] + roll, "rate": sea["rate"] + rate}
-    search, start, base = started(casid.Record(moved, sea.units, Ts=sea.Ts))
+    return casid.Record(moved, sea.units, Ts=sea.Ts)
+
+
+def test_a_line_beside_a_sea_is_sought() -> None:
+    search, start, base = started(with_engine(0.04, 6.0))  # above the roll and its waves
     assert sole_disturbance(search, start, base) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", [0.0, 0.3])
+def test_likelihoods_tell_a_line_from_waves_where_what_each_leaves_does_not(engine: float) -> None:
+    """Most of the misfit lies in a band that counts as a few samples, of a line as of waves."""
+    search, start, base = started(with_engine(engine, 1.2))
+    table = search.table(start, [])
+    lines = [s for s in table.peaks if s.effect.kind == "periodic_disturbance"]
+    found = [replace(c, gain=0.0) for c in search.refits_of(start, lines)]
+    assert found
+    judged = with_lines_beside_disturbances(search, base, found, len(table.tested))
+    assert (judged[0].merit > 0) == (engine > 0)
 
 
 def aired(seed: int, window: float) -> tuple[Search, Weighted, Fit]:
@@ -207,6 +228,44 @@ def test_a_slow_disturbance_beside_a_slow_inlet_leaves_nothing_to_seek() -> None
     alone = sole_disturbance(search, start, base)
     assert alone is not None
     assert list(alone.noise.spectra) == ["heat"]
+
+
+def circuit(bias: float, N: int = 2000) -> tuple[casid.Record, casid.Model]:
+    """A coil, a capacitor with a diode across it, and a current that reads too high by `bias` [A].
+
+    5 mH, 12 Ohm, 2 uF beside 400 Ohm. Noise of 10 mV and 0.3 mA; a quarter of a microsecond a step.
+    """
+    L, R, C, leak, Ts, steps = 5e-3, 12.0, 2e-6, 400.0, 2e-5, 80
+    rng, h = np.random.default_rng(4), Ts / steps
+    source = np.repeat(rng.integers(-3, 4, N // 50 + 1) / 2, 50)[:N]
+    v, i, course = 0.0, 0.0, []
+    for k in range(N):
+        course.append((v, i))
+        for _ in range(steps):
+            i += h / L * (source[k] - R * i - v)
+            v += h / C * (i - v / leak - 1e-6 * (math.exp(v / 0.12) - 1))
+    shown = np.array(course).T + rng.standard_normal((2, N)) * [[0.01], [3e-4]]
+    m = casid.Model("circuit")
+    u = m.input("source", "V", hold="zoh", known=True)
+    q, j = m.state("v", "V"), m.state("i", "A")
+    at = {"C": (1.8e-6, "A s/V"), "R_p": (350.0, "Ohm"), "R": (10.0, "Ohm"), "L": (4e-3, "H")}
+    p = {n: m.parameter(n, unit, start=start, lower=0.1 * start) for n, (start, unit) in at.items()}
+    diode = m.constant("I_s", 1e-6, "A") * (ca.exp(q / m.constant("V_t", 0.12, "V")) - 1)
+    m.balance(q, "charge", inertia=p["C"], terms=[j, -q / p["R_p"], -diode], unit="A")
+    m.balance(j, "coil", inertia=p["L"], terms=[u, -p["R"] * j, -q], unit="V")
+    m.output("capacitor", q, "V")
+    m.output("current", j, "A")
+    units = {"source": "V", "capacitor": "V", "current": "A"}
+    columns = {"source": source, "capacitor": shown[0], "current": shown[1] + bias}
+    return casid.Record(columns, units, Ts=Ts), m
+
+
+def test_a_constant_is_a_simpler_explanation_than_a_disturbance_slower_than_the_record() -> None:
+    """Which follows it, so that beside the disturbance the constant gains nothing."""
+    search, start, base = started(*circuit(bias=3e-4))
+    bare = search.under_disturbance(base)
+    assert bare.noise.spectra
+    assert sole_disturbance(search, start, base) is None
 
 
 @pytest.mark.slow
