@@ -187,11 +187,13 @@ def write_control(
     system = control_system(fitted, at, pade=pade, without_delays=without_delays)
     path = checked_path(path, "control")
     name = docstring_text(fitted.name)
-    point = ", ".join(f"{n} = {v:g}" for n, v in _point(fitted, at).items() if v)
+    units = fitted.model.unit_of
+    point = ", ".join(f"{n} = {v:g} {units(n)}" for n, v in _point(fitted, at).items() if v)
     point = point or "all states and inputs zero"
     late = "" if pade is None else f", delays by Pade approximations of order {pade}"
+    title = f"{name}, linearised at {point}{late}; matrices in SI units."
     lines = [
-        f'"""{name}, linearised at {point}{late}; SI units. Written by {written_by()}."""',
+        f'"""{title} Written by {written_by()}."""',
         "",
         "import control",
         "import numpy as np",

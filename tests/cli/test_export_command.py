@@ -80,7 +80,7 @@ def test_a_state_space_has_its_operating_point(tmp_path: Path) -> None:
         tmp_path / "rail.casid", "--as", "control", "--out", tmp_path / "s", "--at", "v=0.1"
     )
     assert result.exit_code == 0, result.output
-    assert "linearised at v = 0.1" in (tmp_path / "s.py").read_text()
+    assert "linearised at v = 0.1 m/s; matrices in SI units" in (tmp_path / "s.py").read_text()
 
 
 @pytest.mark.parametrize(

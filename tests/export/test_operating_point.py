@@ -75,7 +75,7 @@ def test_the_operating_point_is_kept_with_the_result_and_in_the_file(
     from casid.export.targets import export
 
     text = export(kept, "control", tmp_path / "car.py").read_text()
-    assert f"linearised at v = {kept.operating_point['v']:g}; SI units" in text
+    assert f"linearised at v = {kept.operating_point['v']:g} m/s; matrices in SI" in text
 
 
 def test_a_model_with_noise_in_it_has_one_too() -> None:
