@@ -108,9 +108,10 @@ def _record(criterion: SimulationError, x: Array, e: int) -> FittedRecord:
     known |= {name: criterion.value_of(name, x, e) for name in criterion.own}
     nodes = [criterion.parameter_vector(x, e, i)[1] for i in range(criterion.parts(e))]
     record = criterion.experiments[e].record
-    states = criterion.simulated(x, e).x
-    signals = dict(zip(criterion.model.inputs, d.u.T, strict=True))
-    signals |= dict(zip(criterion.model.states, states.T, strict=True))
+    signals: dict[str, Array] = {}
+    if e == 0:  # the record by which a model is linearised
+        signals = dict(zip(criterion.model.inputs, d.u.T, strict=True))
+        signals |= dict(zip(criterion.model.states, criterion.simulated(x, e).x.T, strict=True))
     return FittedRecord(
         d.name,
         d.Ts,

@@ -36,7 +36,8 @@ class FittedRecord:
         state. One segment but for multiple shooting.
     fingerprint : of its inputs and of its outputs, by which the record is known again.
     clock : that of the record, which other windows of its file have too (`Record.clock`).
-    operating_point : state or input -> where the record works, SI (`operating_point`).
+    operating_point : state or input -> where the record works, SI (`operating_point`); of the first
+        record alone.
     """
 
     name: str
