@@ -19,9 +19,9 @@ _SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")
 _COMPOUND = re.compile(r"\S[/*·^]\S|[²³]$")  # signs that a compound has and a name has not
 _SPACE = re.compile(r"(.*\S)[\s,]+(\S+)")
 _LAST_IN = re.compile(r"[\s,]+in$", re.IGNORECASE)  # the word before the unit: sun in W/m^2
-_QUOTIENT = re.compile(r"(.+?)_([^_]+)_(per_)?([^_]+)")
-_RATE = re.compile(r"s2?|sec|second|min|minute|hr?|hour|ms")
-_SPACE_UNIT = re.compile(r"[cdm]?m[23]|[lL]")
+_QUOTIENT = re.compile(r"(.+?)_([^_]+)_(per_)?([^_]+)")  # name, above and below the line
+_RATE = re.compile(r"s2?|sec|second|min|minute|hr?|hour|ms")  # below the line of a rate
+_SPACE_UNIT = re.compile(r"[cdm]?m[23]|[lL]")  # and of a density: an area or a volume
 _WITH_TIME = ("A", "W", "V", "N", "Pa", "J")  # as in A h, W h, V s, N s, Pa s
 _CAPITALS = ("N", "W", "J")  # single letters that are rather units than indices
 # Endings that are more often a word, an index or another unit than what the list reads: x_in is an

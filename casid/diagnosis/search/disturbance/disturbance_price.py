@@ -107,9 +107,13 @@ def pays(bare: Weighted, left: Weighted, causes: Sequence[Candidate], tested: in
     left : the extended model, under those that it leaves.
     tested : effects among which each cause was chosen.
     """
-    gain = minus_log_likelihood(bare) - minus_log_likelihood(left, bare.criterion)
     n = bare.criterion.n_samples
-    return 2 * gain > sum(price_of(c.effect.cost, n, tested) for c in causes)
+    return _gain(bare, left) > sum(price_of(c.effect.cost, n, tested) for c in causes)
+
+
+def _gain(bare: Weighted, left: Weighted) -> float:
+    """Twice the gain in log-likelihood of an extended model, each under its own disturbances."""
+    return 2 * (minus_log_likelihood(bare) - minus_log_likelihood(left, bare.criterion))
 
 
 def with_lines_beside_disturbances(
@@ -131,8 +135,8 @@ def with_lines_beside_disturbances(
     out = []
     for c in found:
         if c.effect.kind == "periodic_disturbance":
-            bare, left = search.under_disturbance(fit), search.under_disturbance(c.fit)
-            gain = 2 * (minus_log_likelihood(bare) - minus_log_likelihood(left, bare.criterion))
+            bare = search.under_disturbance(fit)
+            gain = _gain(bare, search.under_disturbance(c.fit))
             cost = price_of(c.effect.cost, bare.criterion.n_samples, tested)
             c = replace(c, gain=gain, cost=cost) if gain > cost else c
         out.append(c)
