@@ -47,7 +47,8 @@ class Unit:
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _TOKEN = re.compile(
-    r"\s*(?:(?:(?P<name>(?:[muµμ]?g_?[0n]|mps2|degps2|radps2)(?![\w])|[A-Za-z°µμΩ%‰]+|1(?![\d.]))"
+    r"\s*(?:(?:(?P<name>(?:[muµμ]?g_?[0n]|mps2|degps2|radps2|(?:mm|cm|in)H2O)(?![\w])"
+    r"|[A-Za-z°µμΩ%‰]+|1(?![\d.]))"
     r"|\((?P<product>[^()]*(?:\([^()]*\)[^()]*)*)\))"
     r"(?P<power>(?:\s*(?:\^|\*\*)\s*(?:\(\s*[-+]?[\d./]+\s*\)|[-+]?\d+(?:\.\d+)?))|-?\d+)?"
     r"|(?P<op>\*\*|[*/·⋅]|\.(?=[A-Za-z°µμΩ])))"

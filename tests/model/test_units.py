@@ -121,6 +121,7 @@ def test_kilonewton_and_knot_are_told_apart_by_case():
     [("KN", ("kN", "kn")), ("nm", ("nmi", "N m", "nanometre")), ("g", ("gram", "g0")),
      ("M", ("metre",)), ("T", ("tonne", "s (time)")), ("m/g", ("gram", "g0")),
      ("ton", ("1000 kg", "907")), ("kg m/S", ("second",)),
+     ("gpm", ("USgal/min", "UKgal/min")), ("gal/h", ("'USgal/h'", "UKgal")), ("oz in", ("ozf",)),
      ("mU/l", ("mIU", "nmol/min", "'mIU/l'")), ("µU/ml", ("uIU", "pmol/min", "'uIU/ml'"))],
 )  # fmt: skip
 def test_a_name_with_two_readings_is_refused_with_the_choice_named(text, choices):
@@ -137,6 +138,16 @@ def test_a_name_with_two_readings_is_refused_with_the_choice_named(text, choices
 )  # fmt: skip
 def test_units_of_laboratories_and_catchments_are_read(text, factor):
     assert to_si(1.0, text) == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "si"),
+    [("cmH2O s/L", 98066.5), ("mL/cmH2O", 1e-6 / 98.0665), ("inH2O", 249.0889),
+     ("USgal/min", 6.309020e-05), ("UKgal", 4.546090e-3), ("ozf in", 7.061552e-3)],
+)  # fmt: skip
+def test_columns_of_water_gallons_and_ounces_are_read(text, si):
+    """Of ventilators, pumps and small motors; the values are those of NIST SP 811, appendix B."""
+    assert to_si(1.0, text) == pytest.approx(si, rel=5e-7)  # seven digits
 
 
 @pytest.mark.parametrize(

@@ -206,6 +206,8 @@ def test_a_unit_of_time_other_than_the_one_that_the_file_states_is_reported(csv)
         ("age_d", "s", [86400.0]),
         ("V_l", "m^3", [1e-3]),
         ("m_ton", "kg", [1e3]),
+        ("V_gal", "m^3", [231 * 0.0254**3, 4.54609e-3]),
+        ("q_gpm", "m^3/s", [231 * 0.0254**3 / 60, 4.54609e-3 / 60]),
         ("TempC", "K", [1.0]),
     ],
 )
