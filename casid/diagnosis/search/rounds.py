@@ -46,6 +46,7 @@ from casid.diagnosis.search.comparison.imitations import (
 )
 from casid.diagnosis.search.instants.joint_forces import joint_forces
 from casid.diagnosis.search.instants.jump_times import events_of, is_known_event, placed
+from casid.diagnosis.search.instants.same_instants import changes_at_the_same_instants
 from casid.diagnosis.search.instants.temporary_changes import placed_changes
 from casid.diagnosis.search.refits.dead_times import with_far_dead_times
 from casid.diagnosis.search.refits.friction_speeds import sharpened
@@ -291,7 +292,10 @@ class Search:
         short = scores_to_refit(at, table)
         found = self.refits_of(at, short)
         found += self.refits_of(at, delays_of_best(table, found, short))
-        found = placed(self.refitting, at, found, events_of(adopted), self.progress)
+        known = events_of(adopted)
+        found = placed(self.refitting, at, found, known, self.progress)
+        more = changes_at_the_same_instants(self.refitting, at, table, found)
+        found += placed(self.refitting, at, more, known, self.progress)
         if "offset" not in self.without:
             found += joint_forces(self.refitting, at, found, self.progress)
         if not adopted and not self.attempts.not_done:

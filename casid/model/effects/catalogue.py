@@ -123,7 +123,7 @@ def catalogue(
     effects += digital_filters_of(model, sizes)
     effects += actuator_effects_of(model, sizes)
     effects += missing_parts_of(model, places, sizes)
-    effects += _parameter_variations(model, sizes, recorded)
+    effects += _parameter_variations(model, elements, sizes, recorded)
     effects += extra
     for channel, largest in sizes.largest.items():
         effects += [saturation(model, channel, share * largest) for share in RANGES.limits]
@@ -291,7 +291,7 @@ def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
 
 
 def _parameter_variations(
-    model: Model, sizes: Sizes, recorded: Mapping[str, str]
+    model: Model, elements: Sequence[Place], sizes: Sizes, recorded: Mapping[str, str]
 ) -> Iterator[Effect]:
     """Jumps, drifts and schedules of parameters that a record may determine, and of constants."""
     times = [*jump_times(sizes.window), *sizes.events]
@@ -305,6 +305,6 @@ def _parameter_variations(
         for c, spread in sizes.channels.items():
             if not is_constant_term(model, name):
                 yield scheduled_parameter(model, name, c, recorded[c], spread)
-    yield from clock_effects_of(model, sizes.window, sizes.events)
+    yield from clock_effects_of(model, sizes.window, sizes.events, elements)
     yield from input_schedules_of(model, sizes)
     yield from state_schedules_of(model, sizes)

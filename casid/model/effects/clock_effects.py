@@ -32,12 +32,14 @@ from casid.model.effects.parameter_effects import (
     step_at,
 )
 from casid.model.effects.places.place import (
+    Place,
     a_constant,
     a_quantity,
     is_mechanical,
     is_zero,
     recorded_inputs,
 )
+from casid.model.effects.places.places import place_named
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
@@ -45,15 +47,21 @@ from casid.model.units import same_dimension, unit_quotient
 STEP, KNOCK, DRIFT = "step", "knock", "drift"
 
 
-def offset_step(model: Model, balance: str, time: float, end: float | None = None) -> Effect:
-    """A constant force or voltage from `time` on, or until `end` (s of the record's clock)."""
-    made = _set_in(offset(model, balance), time, end)
-    b = model.balances[balance]
-    what = a_constant(b.unit, model.states[b.rate].unit)
-    says = f"{what} {SETS_IN} {DURING_THE_RECORD}, in the {balance} balance"
+def offset_step(
+    model: Model, where: str | Place, time: float, end: float | None = None
+) -> Effect:
+    """A constant force or voltage from `time` on, or until `end` (s of the record's clock).
+
+    In a balance, or between two bodies or stores, as where a coupling slips.
+    """
+    place = place_named(model, where)
+    made = _set_in(offset(model, place), time, end)
+    what = a_constant(place.unit, place.velocity_unit)
+    there = place.words or f"acts in the {place.where} balance"
     if end is not None:
-        says = f"{what} acts in the {balance} balance {FOR_A_WHILE}"
-    return replace(made, description=says)
+        return replace(made, description=f"{what} {there} {FOR_A_WHILE}")
+    there = there.removeprefix("acts ")
+    return replace(made, description=f"{what} {SETS_IN} {DURING_THE_RECORD}, {there}")
 
 
 def joint_offset_step(
@@ -200,7 +208,10 @@ def at_instant(effect: Effect, model: Model, time: float, end: float | None = No
 
 
 def clock_effects_of(
-    model: Model, window: tuple[float, float], events: Sequence[float] = ()
+    model: Model,
+    window: tuple[float, float],
+    events: Sequence[float] = (),
+    elements: Sequence[Place] = (),
 ) -> Iterator[Effect]:
     """Steps of forces, of biases and of gains, and drifts of biases.
 
@@ -212,11 +223,13 @@ def clock_effects_of(
     ----------
     window : the fitted part, in seconds of the record's clock.
     events : instants beside those that are evenly inside the window [s].
+    elements : relative motions, on which a force may act in two balances.
     """
     biases = [*jump_times(window, PARAMETER_JUMPS.times_of_biases), *events]
     forces = [*jump_times(window), *events]
-    for balance in model.balances:
-        yield from (offset_step(model, balance, t) for t in forces)
+    between = [p for p in elements if p.has_own_force]
+    for place in (*model.balances, *between):
+        yield from (offset_step(model, place, t) for t in forces)
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         yield from (bias_step(model, channel, t) for t in biases)

@@ -190,7 +190,7 @@ def _knock(
 ) -> Candidate | None:
     """A knock in the place of a force that sets in: what rings on after it does so after both."""
     effect, when = found.effect, found.effect.variant
-    if effect.kind != "offset" or when is None:
+    if effect.kind != "offset" or effect.where not in at.model.balances or when is None:
         return None
     Ts = min(d.Ts for d in at.criterion.data)
     other = knock(at.model, effect.where, when, Ts)
