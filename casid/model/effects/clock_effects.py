@@ -47,9 +47,7 @@ from casid.model.units import same_dimension, unit_quotient
 STEP, KNOCK, DRIFT = "step", "knock", "drift"
 
 
-def offset_step(
-    model: Model, where: str | Place, time: float, end: float | None = None
-) -> Effect:
+def offset_step(model: Model, where: str | Place, time: float, end: float | None = None) -> Effect:
     """A constant force or voltage from `time` on, or until `end` (s of the record's clock).
 
     In a balance, or between two bodies or stores, as where a coupling slips.
