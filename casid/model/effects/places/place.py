@@ -71,15 +71,21 @@ class Place:
 
     @property
     def words(self) -> str:
-        """The equations that a force on a relative motion enters; "" for a balance."""
+        """The equations that a force on a relative motion enters; "" for a balance.
+
+        Between two bodies a force is positive where it acts on the first.
+        """
         if not self.is_relative:
             return ""
         if self.is_vector:
             rows = " and ".join(row for row, _ in self.shares)
             return f"acts along {self.velocity_name}, in {rows}"
         factors = [(row, formula_text(f)) for row, f in self.shares]
+        on = self.position_name or self.where
+        if [f for _, f in factors] == ["1", "-1"]:
+            return f"acts on {on} between {factors[0][0]} and {factors[1][0]}"
         each = [row if f == "1" else f"{row} times {f}" for row, f in factors]
-        return f"acts on {self.position_name or self.where} in {' and in '.join(each)}"
+        return f"acts on {on} in {' and in '.join(each)}"
 
     def add(self, model: Model, force: Expr) -> None:
         """Add a force to every equation that it enters (used by effects on their own copy)."""

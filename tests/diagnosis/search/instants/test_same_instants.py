@@ -66,7 +66,7 @@ def record(push: np.ndarray, seed: int = 3) -> casid.Record:
 def test_a_force_that_sets_in_between_two_bodies_acts_in_both_balances():
     model = carriage().model
     effect = offset_step(model, "v1-v2", 4.0, 5.0)
-    assert "acts on x1-x2 in frame and in load times -1 for a while" in effect.description
+    assert "acts on x1-x2 between frame and load for a while" in effect.description
     wide = effect.extend(model)
     F_0 = wide.symbol("F_0")
     slopes = [ca.jacobian(wide.balances[n].total, F_0) for n in ("frame", "load")]

@@ -325,7 +325,7 @@ def test_between_two_bodies_a_part_swings_and_acts_on_both():
     m.balance(w2, "load", inertia=J2, terms=[shaft])
     m.output("speed", w1, "rad/s")
     effect = missing_mode(m, "w1-w2", OMEGA)
-    assert effect.description == "acts on e in motor and in load times -1"
+    assert effect.description == "acts on e between motor and load"
     assert {e.where for e in parts_of(m, SIZES)} == {"motor", "load", "w1-w2"}
     model = effect.extend(m, starts={"J_m": J, "zeta_m": ZETA})
 
