@@ -17,6 +17,8 @@ from casid.model.effects.search_ranges import SATURATIONS, UNNAMED_EFFECTS
 from casid.model.model import Model
 from casid.model.units import unit_quotient
 
+_INVERSE = "inverse_K_"
+
 
 def state_scheduled_parameter(
     model: Model, name: str, state: str, size: Motion, power: int = 1, *, is_straight: bool = False
@@ -134,7 +136,7 @@ def inhibited_parameter(model: Model, name: str, state: str, size: Motion) -> Ef
     """
     unit = model.symbol_units[state]
     own = Parameter(
-        f"inverse_K_{state}",
+        f"{_INVERSE}{state}",
         unit_quotient("1", unit),
         0.0,
         lower=-2.0 / (SATURATIONS.poles * size.largest),
@@ -157,6 +159,11 @@ def inhibited_parameter(model: Model, name: str, state: str, size: Motion) -> Ef
     )
 
 
+def is_inhibited(effect: Effect) -> bool:
+    """True of a parameter that falls with a signal as 1/(1 + x/K) does."""
+    return any(p.name.startswith(_INVERSE) for p in effect.parameters[:1])
+
+
 def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Parameters that no force in one place expresses, with the states of their own equations.
 
@@ -166,8 +173,8 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     that a sensor shows as well (a valve's coefficient); or it is that of a reaction, which its
     product inhibits. Elsewhere it is a force that grows with its state, and tested as one. With a
     state that keeps its sign what a sensor shows as well also goes as a power of it, and so does
-    the rate of a reaction with the amount of what reacts: its order. The gain of an input that is
-    never negative, and of nothing else, may saturate with it.
+    the rate of a reaction with the amount of what reacts: its order. The gain of an input may fall
+    with it, and that of one that is never negative may level off.
     """
     for name, p in model.parameters.items():
         if p.is_constant or (p.is_known and p.value == 0.0):
@@ -186,6 +193,7 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             *_of_gains(model, symbol, inside),
             *_shown(model, symbol, inside),
             *(beside := _shown_as_well(model, symbol, inside)),
+            *(gained := _gained(model, name, inside)),
         )
         for state in dict.fromkeys(states):
             for power in range(1, SATURATIONS.powers + 1):
@@ -200,7 +208,7 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             size = sizes.motion_of(model.symbol(state))
             if size.is_signed and size.low > 0.0:
                 yield inhibited_parameter(model, name, state, size)
-        for channel in _gained(model, name, inside):
+        for channel in gained:
             size = sizes.motion_of(model.symbol(channel))
             if size.low >= 0.0 and size.mean > 0.0:
                 yield inhibited_parameter(model, name, channel, size)
@@ -219,11 +227,18 @@ def _possible_inhibitors(model: Model, symbol: Any, inside: Mapping[str, Any]) -
 
 
 def _gained(model: Model, name: str, inside: Mapping[str, Any]) -> list[str]:
-    """The input whose gain in the balances a parameter is, where they have it nowhere else."""
-    slope = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), model.symbol(name))
-    felt = {s.name() for s in ca.symvar(slope)} - {*model.parameters}
-    is_alone = len(felt) == 1 and not model.parameters[name].is_known
-    return sorted(felt & {*recorded_inputs(model)}) if is_alone else []
+    """The input whose gain in the balances a parameter is, where they have it nowhere else.
+
+    Alone, or as the force of a magnet, whose iron saturates with the current, depends on its gap.
+    """
+    symbol = model.symbol(name)
+    slope = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), symbol)
+    felt = {s.name() for s in ca.symvar(slope)} & {*recorded_inputs(model)}
+    is_gain = len(felt) == 1 and not any(ca.which_depends(slope, symbol))
+    if not is_gain or model.parameters[name].is_known:
+        return []
+    ends = ca.substitute(slope, model.symbol(*felt), 0.0)  # no input, no force
+    return [*felt] if is_zero(ca.sumsqr(ends)) else []
 
 
 def _of_several(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:

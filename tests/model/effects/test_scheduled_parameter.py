@@ -24,6 +24,7 @@ from casid.model.effects.parameter_effects import (
 )
 from casid.model.effects.state_schedules import (
     inhibited_parameter,
+    is_inhibited,
     state_scheduled_parameter,
     state_schedules_of,
 )
@@ -518,8 +519,8 @@ def test_a_reaction_is_inhibited_by_what_it_makes_and_not_by_what_it_is_stated_w
         assert found == pytest.approx([-rate, rate], rel=1e-12)
 
 
-@pytest.mark.parametrize(("lowest", "is_tested"), [(0.0, True), (-100.0, False)])
-def test_the_gain_of_an_input_that_is_never_negative_may_saturate_with_it(lowest, is_tested):
+@pytest.mark.parametrize(("lowest", "levels_off"), [(0.0, True), (-100.0, False)])
+def test_the_gain_of_an_input_that_is_never_negative_may_saturate_with_it(lowest, levels_off):
     """What leaves take up of the light, of which 300 W/m^2 halve the gain."""
     m = casid.Model("leaves")
     c, light = m.state("c", "kg/m^3", start=0.7), m.input("light", "W/m^2", known=True)
@@ -528,8 +529,10 @@ def test_the_gain_of_an_input_that_is_never_negative_may_saturate_with_it(lowest
     m.output("y", c, "kg/m^3")
     ranges = {"c": (0.3, 1.0), "light": (lowest, 600.0)}
     sizes = Sizes({"c": 0.7, "light": 300.0}, {"y": 0.7}, (0.0, 9.0), 1.0, ranges=ranges)
-    found = [e for e in state_schedules_of(m, sizes) if e.where.endswith("~light")]
-    assert [e.where for e in found] == ["p~light"] * is_tested
+    gains = [e for e in state_schedules_of(m, sizes) if e.where == "p~light"]
+    found = [e for e in gains if is_inhibited(e)]
+    assert len(found) == levels_off
+    assert {e.variant for e in gains} >= {1.0, 2.0}
     for effect in found:
         extended, (r,) = effect.extended(m)
         e = extended.explicit()
@@ -539,6 +542,21 @@ def test_the_gain_of_an_input_that_is_never_negative_may_saturate_with_it(lowest
             rate = float(f([0.7], [u], [values[n] for n in e.parameters]))
             true = -0.002 * u * (1 + 300.0 / 300.0) / (1 + u / 300.0)  # 300 W/m^2 is the mean
             assert rate == pytest.approx(true, rel=1e-12)
+
+
+def test_the_gain_of_an_input_is_what_multiplies_it_whatever_else_the_force_depends_on():
+    """C (i/(z + z_0))^2: iron that saturates lowers C with i; z_0 is a length, and no gain."""
+    m = casid.Model("magnet")
+    z, v = m.state("z", "m", start=0.01), m.state("v", "m/s")
+    i = m.input("i", "A", known=True)
+    C, z_0 = m.parameter("C", "N m^2/A^2", start=7e-5), m.parameter("z_0", "m", start=1e-3)
+    m.derivative(z, v)
+    m.balance(v, "force", inertia=m.constant("M", 0.1, "kg"), terms=[-C * (i / (z + z_0)) ** 2])
+    m.output("y", z, "m")
+    ranges = {"z": (0.008, 0.012), "v": (-0.1, 0.1), "i": (1.0, 4.0)}
+    sizes = Sizes({"z": 1e-3, "v": 0.1, "i": 2.0}, {"y": 0.01}, (0.0, 9.0), 1.0, ranges=ranges)
+    with_current = [e.where for e in state_schedules_of(m, sizes) if e.where.endswith("~i")]
+    assert set(with_current) == {"C~i"}
 
 
 def test_an_amount_that_helps_a_reaction_keeps_its_rate_finite():

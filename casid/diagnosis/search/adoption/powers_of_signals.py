@@ -42,6 +42,8 @@ from casid.model.effects.parameter_effects import (
 )
 from casid.model.effects.search_ranges import SATURATIONS
 from casid.model.effects.state_schedules import (
+    inhibited_parameter,
+    is_inhibited,
     is_scheduled_by_state,
     parabolic_schedule,
     state_scheduled_parameter,
@@ -54,10 +56,10 @@ def with_better_powers(refine: Refinement, found: Adoption) -> Adoption:
         if found.fit is None:
             break
         effect = found.adopted[i].candidate.effect
-        if is_scheduled_by_state(effect):
+        if is_scheduled_by_state(effect) or is_inhibited(effect):
             for other, step in _other_powers(refine, found, i):
                 found = _by_the_better(refine, found, i, other, (step,))
-            if not is_noise_alone(found.at, refine.search):
+            if is_scheduled_by_state(effect) and not is_noise_alone(found.at, refine.search):
                 found = _along_a_parabola(refine, found, i)
         elif is_scheduled_by_channel(effect) and not _is_of_state(refine, effect):
             for other, step in _other_laws(refine, found, i):
@@ -75,9 +77,13 @@ def _other_powers(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple
         power: sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
         for power in range(1, SATURATIONS.powers + 1)
     }
-    constants = own.effect.constants
+    constants = {"power": 1.0, "straight": 0.0} | own.effect.constants
     mine = motions[int(constants["power"])]
-    change = found.fit.values[own.names[0]] * (mine.high - mine.low)
+    size, mean = found.fit.values[own.names[0]], motions[1].mean
+    p = found.fit.values.get(name, model.parameters[name].nominal)
+    # What levels off is compared as the line that is as steep at the mean.
+    slope = -p * size / (1 + size * mean) if is_inhibited(own.effect) else size
+    change = slope * (mine.high - mine.low)
     for power, motion in motions.items():
         for is_straight in (True, False)[:power]:
             effect = state_scheduled_parameter(
@@ -86,6 +92,11 @@ def _other_powers(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple
             is_other = any(effect.constants[n] != constants[n] for n in ("power", "straight"))
             if is_other and motion.high > motion.low:
                 yield effect, change / (motion.high - motion.low)
+    falls_in_proportion = own.effect.constants.get("power") == 1.0 and slope < 0.0
+    if falls_in_proportion and state in model.inputs:
+        if sizes.motion_of(model.symbol(state)).low >= 0.0:
+            effect = inhibited_parameter(refine.start.model, name, state, motions[1])
+            yield effect, -slope / max(p + slope * mean, SATURATIONS.left * p)
 
 
 def _is_of_state(refine: Refinement, effect: Effect) -> bool:

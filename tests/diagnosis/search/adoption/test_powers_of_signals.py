@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import casid
 from casid.diagnosis.evidence.records.signal_sizes import sizes_of
@@ -23,7 +24,11 @@ from casid.model.effects.parameter_effects import (
     power_scheduled_parameter,
     scheduled_parameter,
 )
-from casid.model.effects.state_schedules import state_scheduled_parameter
+from casid.model.effects.state_schedules import (
+    inhibited_parameter,
+    is_inhibited,
+    state_scheduled_parameter,
+)
 
 ONCE = casid.FitSettings(starts=1)
 NOISE = 1e-3  # V
@@ -115,6 +120,61 @@ def test_the_law_is_that_of_the_record_whichever_was_named(true: str, named: str
         error = abs(found.fit.values["slope_R_0_z"] + 0.02)
         # Of N = 560 samples with a current of 2.7 A RMS, whose z spreads by 0.08 about its mean.
         assert error < 4 * NOISE / (560**0.5 * 2.7 * 0.08)
+
+
+def pulled(law: str) -> casid.Record:
+    """Samples of 0.02 s of 0.5 kg on a spring that a magnet pulls, whose force is C(i) i^2."""
+    rng = np.random.default_rng(5)
+    current = np.repeat(rng.uniform(0.0, 4.0, 60), 20)
+    C = {"line": 1.6 - 0.25 * current, "levels off": 2.0 / (1 + current / 3.0)}[law]
+    A = np.array([[0.0, 1.0], [-80.0, -2.0]])  # k/m, d/m
+    held = expm(np.block([[A, np.array([[0.0], [2.0]])], [np.zeros((1, 3))]]) * 0.02)
+    x, path = np.zeros(2), np.empty(current.size)
+    for k, force in enumerate(C * current**2):
+        path[k] = x[0]
+        x = held[:2, :2] @ x + held[:2, 2] * force
+    y = path + NOISE * rng.standard_normal(current.size)
+    return casid.Record({"i": current, "y": y}, {"i": "A", "y": "m"}, 0.02)
+
+
+def magnet() -> casid.Model:
+    """The same with one C."""
+    m = casid.Model("magnet")
+    i = m.input("i", "A", hold="zoh", known=True)
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    C = m.parameter("C", "N/A^2", start=1.0, lower=0.01)
+    k, d = m.parameter("k", "N/m", start=35.0), m.parameter("d", "N s/m", start=0.8)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=m.constant("m", 0.5, "kg"), terms=[C * i**2, -k * x, -d * v])
+    m.output("y", x, "m")
+    return m
+
+
+@pytest.mark.parametrize("true", ["line", "levels off"])
+@pytest.mark.parametrize("named", ["line", "levels off"])
+def test_a_gain_falls_with_its_input_in_proportion_or_levels_off(true: str, named: str) -> None:
+    model = magnet()
+    of = refinement(model, pulled(true), {})
+    size = sizes_of(of.start, {}).motion_of(model.symbol("i"))
+    if named == "line":
+        before = adopted(of, state_scheduled_parameter(model, "C", "i", size), -0.1)
+    else:
+        before = adopted(of, inhibited_parameter(model, "C", "i", size), 0.1)
+    found = with_better_powers(of, before)
+    kept = found.adopted[0].candidate
+    assert is_inhibited(kept.effect) is (true == "levels off")
+    assert found.fit is not None
+    value = {"line": -0.25, "levels off": 1 / 3}[true]
+    assert abs(found.fit.values[kept.names[0]] - value) < 4 * std_error(found.fit, kept.names[0])
+
+
+@pytest.mark.slow
+def test_a_magnet_whose_iron_saturates_is_named_by_its_gain() -> None:
+    found = casid.diagnose(casid.Problem("magnet", magnet()), pulled("line"), starts=1)
+    (cause,) = found.causes
+    assert (cause.kind, cause.where) == ("scheduled_parameter", "C~i")
+    (slope,) = cause.parameters
+    assert abs(slope.value + 0.25) < 4 * slope.std_error
 
 
 @pytest.mark.parametrize("named", ["line", "fall"])

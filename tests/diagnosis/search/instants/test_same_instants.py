@@ -92,5 +92,5 @@ def test_what_sets_in_between_two_bodies_is_named_there(begin, end, force):
     found = casid.diagnose(carriage(), record(push), starts=1, advise=False, without=REST)
     (cause,) = found.causes
     assert (cause.kind, cause.where) == ("offset", "v1-v2")
-    size = found.estimates["F_0"]
+    size = cause.parameters[0]
     assert abs(size.value - force) < 4 * size.std_error
