@@ -298,7 +298,7 @@ def _as_dry_friction(
 ) -> list[Alternative]:
     """Dry friction where a constant force opposes a motion that never reverses: the same there."""
     model = found.at.model
-    if effect.kind != "offset" or effect.sets_in or effect.where not in model.balances:
+    if effect.kind != "offset" or effect.shape or effect.where not in model.balances:
         return []
     place = place_named(model, effect.where)
     if not place.is_mechanical or not parameters:

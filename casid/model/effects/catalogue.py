@@ -35,6 +35,7 @@ from casid.model.effects.balances.friction_effects import (
     stribeck_friction,
 )
 from casid.model.effects.balances.missing_parts import missing_parts_of
+from casid.model.effects.balances.moving_media import moving_media_of
 from casid.model.effects.balances.unnamed_effects import (
     linear_loss,
     linear_restoring_force,
@@ -108,6 +109,7 @@ def catalogue(
                 effects += extra_inputs_of(model, place.where, channel, unit, reading)
     for plane in planes_of(model, elements):
         effects += _resistances_along(model, plane, sizes)
+    effects += moving_media_of(model)
     effects += _power_laws(model, sizes)
     effects += uptakes_of(model, sizes.ranges)
     effects += missing_links(model, elements)

@@ -8,9 +8,16 @@ from typing import Any
 
 import casadi as ca
 
+from casid.errors import ModelError
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balances.balance_effects import offset
+from casid.model.effects.balances.moving_media import (
+    MEDIUM,
+    WIND,
+    moving_media_of,
+    moving_medium,
+)
 from casid.model.effects.channels.channel_effects import scaled_input, sensor_bias, sensor_scale
 from casid.model.effects.effect import Effect, known_while_null
 from casid.model.effects.names import (
@@ -60,6 +67,24 @@ def offset_step(model: Model, where: str | Place, time: float, end: float | None
         return replace(made, description=f"{what} {there} {FOR_A_WHILE}")
     there = there.removeprefix("acts ")
     return replace(made, description=f"{what} {SETS_IN} {DURING_THE_RECORD}, {there}")
+
+
+def medium_step(model: Model, balance: str, time: float, end: float | None = None) -> Effect:
+    """A medium that moves from `time` on, or until `end` [s]: a wind that rises.
+
+    Raises
+    ------
+    ModelError
+        If no drag of the balance grows faster than its rate (`moving_medium`).
+    """
+    made = moving_medium(model, balance)
+    if made is None:
+        raise ModelError(f"no drag in the {balance} balance of {model.name} grows with a speed")
+    drag = made.description.removeprefix(f"{WIND} ")
+    how = f"{SETS_IN} {DURING_THE_RECORD}, and {drag}"
+    how = how if end is None else f"{drag}, {FOR_A_WHILE}"
+    made = replace(_set_in(made, time, end), description=f"{WIND} {how}")
+    return replace(made, shape=f"{STEP} of the {MEDIUM}")
 
 
 def joint_offset_step(
@@ -198,7 +223,7 @@ def at_instant(effect: Effect, model: Model, time: float, end: float | None = No
         return joint_offset_step(model, pair, arm.start, time, end)
     made = {
         "parameter_jump": parameter_jump,
-        "offset": offset_step,
+        "offset": medium_step if MEDIUM in effect.shape else offset_step,
         "sensor_bias": bias_step,
         "sensor_scale": gain_step,
     }
@@ -228,6 +253,8 @@ def clock_effects_of(
     between = [p for p in elements if p.has_own_force]
     for place in (*model.balances, *between):
         yield from (offset_step(model, place, t) for t in forces)
+    for medium in moving_media_of(model):
+        yield from (medium_step(model, medium.where, t) for t in forces)
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         yield from (bias_step(model, channel, t) for t in biases)

@@ -341,6 +341,12 @@ class UnnamedEffects:
         "beyond it the uptake is a constant",
         _FLOW_LAWS,
     )
+    faster: float = _is(
+        2.5,
+        "times as large at twice the speed, at least, where drag is more than a friction in "
+        "proportion: with its square it is 4, and what a dry friction is smoothed by is 1",
+        f"{_TESTS}/balances/test_moving_media.py",
+    )
     used_up: float = _is(
         0.003,
         "of the largest amount, below which what uses it up ends: few sensors resolve less, and a "

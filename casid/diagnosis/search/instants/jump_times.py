@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from casid.diagnosis.evidence.records.signal_sizes import window_of
 from casid.diagnosis.evidence.scores.score_tests import scan, scan_pairs
@@ -16,7 +17,8 @@ from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
 from casid.estimation.simulation.channels.sensor_dynamics import MEMORY
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.clock_effects import at_instant, knock
+from casid.model.effects.balances.moving_media import MEDIUM
+from casid.model.effects.clock_effects import STEP, at_instant, knock
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
@@ -190,7 +192,8 @@ def _knock(
 ) -> Candidate | None:
     """A knock in the place of a force that sets in: what rings on after it does so after both."""
     effect, when = found.effect, found.effect.variant
-    if effect.kind != "offset" or effect.where not in at.model.balances or when is None:
+    is_force = effect.kind == "offset" and effect.shape == STEP
+    if not is_force or effect.where not in at.model.balances or when is None:
         return None
     Ts = min(d.Ts for d in at.criterion.data)
     other = knock(at.model, effect.where, when, Ts)
@@ -206,7 +209,12 @@ def _knock(
 def placed_by_refits(
     refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
 ) -> Candidate:
-    """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
+    """Scan ever finer, linearly about the last refit: a ringing leaves many local minima.
+
+    What a wind does is far from linear in it: its instant is searched by refits alone.
+    """
+    if MEDIUM in found.effect.shape:
+        return _searched_by_refits(refitting, at, found, known)
     for reach in _reaches(at):
         now = found.effect.constants["time"]
         effects = _steps_about(at, found.effect, found.model, reach)
@@ -218,6 +226,29 @@ def placed_by_refits(
         if np.ptp(left[max(best - 1, 0) : best + 2]) < JUMPS.worth:
             break  # no instant between two of them leaves less
     return found
+
+
+def _searched_by_refits(
+    refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
+) -> Candidate:
+    """The instant of the largest gain within the first reach, by Brent's method, to a sample."""
+    best = [found]
+
+    def loss(instant: float) -> float:
+        other = at_instant(found.effect, at.model, instant)
+        again = refitting.moved(at, best[0], other)
+        if again is None or is_known_event(at, other, known):
+            return 0.0
+        best[0] = max(best[0], replace(again, score=found.score), key=lambda c: c.gain)
+        return -again.gain
+
+    now, reach = found.effect.constants["time"], next(_reaches(at))
+    start, stop = window_of(at)
+    Ts = min(d.Ts for d in at.criterion.data)
+    within = max(now - reach, start), min(now + reach, stop)
+    options = {"xatol": 0.5 * Ts, "maxiter": JUMPS.refits}
+    minimize_scalar(loss, bounds=within, method="bounded", options=options)
+    return best[0]
 
 
 def _better_at(
