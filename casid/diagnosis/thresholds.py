@@ -772,12 +772,6 @@ class Jumps:
         "samples that a force lasts whose impulse a knock is first tried with",
         f"{TESTS}/verdict/test_unknown_cause.py",
     )
-    refits: int = _is(
-        16,
-        "refits of Brent's method, at most, to the instant of what is far from linear in its size: "
-        "a golden section of three steps of the first grid, down to a thousandth of them",
-        "tests/model/effects/balances/test_moving_media.py",
-    )
     same_event: float = _is(
         1.2, "steps of the first grid within which it is one event", POWER_STUDY
     )

@@ -246,8 +246,7 @@ def _searched_by_refits(
     start, stop = window_of(at)
     Ts = min(d.Ts for d in at.criterion.data)
     within = max(now - reach, start), min(now + reach, stop)
-    options = {"xatol": 0.5 * Ts, "maxiter": JUMPS.refits}
-    minimize_scalar(loss, bounds=within, method="bounded", options=options)
+    minimize_scalar(loss, bounds=within, method="bounded", options={"xatol": 0.5 * Ts})
     return best[0]
 
 
