@@ -12,12 +12,7 @@ from casid.errors import ModelError
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balances.balance_effects import offset
-from casid.model.effects.balances.moving_media import (
-    MEDIUM,
-    WIND,
-    moving_media_of,
-    moving_medium,
-)
+from casid.model.effects.balances.moving_media import moving_media_of, moving_medium
 from casid.model.effects.channels.channel_effects import scaled_input, sensor_bias, sensor_scale
 from casid.model.effects.effect import Effect, known_while_null
 from casid.model.effects.names import (
@@ -26,8 +21,10 @@ from casid.model.effects.names import (
     FOR_ONE_SAMPLE,
     GAIN_OF_INPUT,
     GROWS_STEADILY,
+    RISING_MEDIUM,
     SETS_IN,
     TOGETHER,
+    WIND,
 )
 from casid.model.effects.parameter_effects import (
     cost_of_instants,
@@ -84,7 +81,7 @@ def medium_step(model: Model, balance: str, time: float, end: float | None = Non
     how = f"{SETS_IN} {DURING_THE_RECORD}, and {drag}"
     how = how if end is None else f"{drag}, {FOR_A_WHILE}"
     made = replace(_set_in(made, time, end), description=f"{WIND} {how}")
-    return replace(made, shape=f"{STEP} of the {MEDIUM}")
+    return replace(made, shape=RISING_MEDIUM)
 
 
 def joint_offset_step(
@@ -223,7 +220,7 @@ def at_instant(effect: Effect, model: Model, time: float, end: float | None = No
         return joint_offset_step(model, pair, arm.start, time, end)
     made = {
         "parameter_jump": parameter_jump,
-        "offset": medium_step if MEDIUM in effect.shape else offset_step,
+        "offset": medium_step if effect.shape == RISING_MEDIUM else offset_step,
         "sensor_bias": bias_step,
         "sensor_scale": gain_step,
     }
@@ -250,8 +247,8 @@ def clock_effects_of(
     """
     biases = [*jump_times(window, PARAMETER_JUMPS.times_of_biases), *events]
     forces = [*jump_times(window), *events]
-    between = [p for p in elements if p.has_own_force]
-    for place in (*model.balances, *between):
+    places: list[str | Place] = [*model.balances, *(p for p in elements if p.has_own_force)]
+    for place in places:
         yield from (offset_step(model, place, t) for t in forces)
     for medium in moving_media_of(model):
         yield from (medium_step(model, medium.where, t) for t in forces)

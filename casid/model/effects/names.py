@@ -119,6 +119,12 @@ OVERFLOW, CLAMP = "an overflow", "a clamp"
 A_CONSTANT = "a constant "
 """How the description begins of a constant in a balance; what it is of follows."""
 
+WIND = f"{A_CONSTANT}wind or current"
+"""How the description of a medium that moves begins."""
+
+MEDIUM, RISING_MEDIUM = "medium", "step of the medium"
+"""Shapes of one that moves all the time, and from an instant on or for a while."""
+
 _CONSTANT = re.compile(rf"{A_CONSTANT}([a-z ]+?)(?= acts | sets in |$)")
 
 _SIZE = re.compile(r"\|\(([^()|]*)\)\|")
@@ -219,6 +225,7 @@ def effect_words(kind: str, where: str, *, description: str = "") -> str:
     if kind == "sensor_scale" and (variant or description.endswith(DURING_THE_RECORD)):
         return _CHANGE_OF_GAIN.format(where=at)
     courses = [course for says, course in _COURSES.get(kind, {}).items() if says in description]
+    variant = "" if variant in (MEDIUM, RISING_MEDIUM) else variant
     variant = variant or "".join(courses)
     return f"{words} ({variant})" if variant else words
 

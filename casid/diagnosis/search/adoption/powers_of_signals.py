@@ -77,7 +77,7 @@ def _other_powers(refine: Refinement, found: Adoption, i: int) -> Iterator[tuple
         power: sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
         for power in range(1, SATURATIONS.powers + 1)
     }
-    constants = {"power": 1.0, "straight": 0.0} | own.effect.constants
+    constants = {"power": 1.0, "straight": 0.0, **own.effect.constants}
     mine = motions[int(constants["power"])]
     size, mean = found.fit.values[own.names[0]], motions[1].mean
     p = found.fit.values.get(name, model.parameters[name].nominal)

@@ -17,9 +17,9 @@ from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
 from casid.estimation.simulation.channels.sensor_dynamics import MEMORY
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.balances.moving_media import MEDIUM
 from casid.model.effects.clock_effects import STEP, at_instant, knock
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import RISING_MEDIUM
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
 
@@ -213,7 +213,7 @@ def placed_by_refits(
 
     What a wind does is far from linear in it: its instant is searched by refits alone.
     """
-    if MEDIUM in found.effect.shape:
+    if found.effect.shape == RISING_MEDIUM:
         return _searched_by_refits(refitting, at, found, known)
     for reach in _reaches(at):
         now = found.effect.constants["time"]

@@ -14,17 +14,11 @@ import numpy as np
 
 from casid.model.declarations import Parameter
 from casid.model.effects.effect import Effect, known_while_null
-from casid.model.effects.names import A_CONSTANT
+from casid.model.effects.names import MEDIUM, WIND
 from casid.model.effects.search_ranges import UNNAMED_EFFECTS
 from casid.model.model import Model
 from casid.model.rate_laws import addends
 from casid.model.units import same_dimension
-
-MEDIUM = "medium"
-"""Shape of the speed of a medium, which is a constant of its own in a balance."""
-
-WIND = f"{A_CONSTANT}wind or current"
-"""How its description begins."""
 
 
 def moving_medium(model: Model, balance: str) -> Effect | None:

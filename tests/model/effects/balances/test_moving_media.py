@@ -13,6 +13,7 @@ import casid
 from casid.errors import ModelError
 from casid.model.effects.balances.moving_media import moving_media_of, moving_medium
 from casid.model.effects.clock_effects import at_instant, medium_step
+from casid.model.effects.names import effect_words
 
 MASS, ROLL, DRAG, NOISE = 90.0, 5.0, 0.4, 0.02  # kg, N, N s^2/m^2, m/s
 TS, N, SUBSTEPS = 0.5, 1200, 5
@@ -106,6 +107,8 @@ def test_a_wind_that_rises_is_placed_at_other_instants_as_one_that_lasts_for_a_w
     model = rider().model
     step = medium_step(model, "traction", 100.0)
     assert "constant wind or current sets in during the record" in step.description
+    words = effect_words(*step.key, description=step.description)
+    assert words == "constant wind or current in the traction balance (step)"
     moved = at_instant(step, model, 120.0, 180.0)
     assert (moved.key, moved.variant, moved.end) == (step.key, 120.0, 180.0)
     assert moved.description.endswith("for a while")
