@@ -36,6 +36,7 @@ from casid.model.effects.balances.friction_effects import (
 )
 from casid.model.effects.balances.missing_parts import missing_parts_of
 from casid.model.effects.balances.moving_media import moving_media_of
+from casid.model.effects.balances.resistances import growing_resistances_of
 from casid.model.effects.balances.unnamed_effects import (
     linear_loss,
     linear_restoring_force,
@@ -110,6 +111,7 @@ def catalogue(
     for plane in planes_of(model, elements):
         effects += _resistances_along(model, plane, sizes)
     effects += moving_media_of(model)
+    effects += growing_resistances_of(model)
     effects += _power_laws(model, sizes)
     effects += uptakes_of(model, sizes.ranges)
     effects += missing_links(model, elements)
