@@ -111,6 +111,24 @@ def pays(bare: Weighted, left: Weighted, causes: Sequence[Candidate], tested: in
     return _gain(bare, left) > sum(price_of(c.effect.cost, n, tested) for c in causes)
 
 
+def pays_at_best(search: Search, fit: Fit, cause: Candidate, tested: int) -> bool:
+    """True if a candidate pays beside what it leaves, and not by a maximum that is there without.
+
+    Of several maxima of the likelihood the model alone may be at a lower one, with the disturbance
+    in other places, say. The higher one that an extension leads to is kept as the model's.
+
+    Parameters
+    ----------
+    fit : the model without the candidate, by its simulation error.
+    """
+    bare, left = search.under_disturbance(fit), search.under_disturbance(cause.fit)
+    if not pays(bare, left, [cause], tested):
+        return False
+    best = search.with_disturbances().weighing.from_disturbance_of(bare, left)
+    search.memory.disturbed[fit] = best
+    return best is bare or pays(best, left, [cause], tested)
+
+
 def _gain(bare: Weighted, left: Weighted) -> float:
     """Twice the gain in log-likelihood of an extended model, each under its own disturbances."""
     return 2 * (minus_log_likelihood(bare) - minus_log_likelihood(left, bare.criterion))

@@ -25,7 +25,7 @@ from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.disturbance.disturbance_price import (
     explaining_disturbance,
-    pays,
+    pays_at_best,
     price_of,
 )
 from casid.diagnosis.search.instants.jump_times import placed, placed_by_tangents
@@ -68,21 +68,24 @@ def sole_disturbance(
         if gains.one_pays(effects, cost, len(alone.tested), start.noise):
             return None
     is_far = error_over_noise(base, start.noise) > RESTARTS.far and not adopted
-    if is_far and _change_pays(search, start, bare, alone):
+    if is_far and _change_pays(search, start, base, alone):
         return None
     explaining = _explaining(start, alone)
     if _refit_pays(bare, table, beside.refits_of(bare, explaining)):
         return None
     for c in search.refits_of(start, explaining[:1]):
         # Beside a slow disturbance a constant gains nothing: that one explains it, less simply.
-        if pays(bare, search.under_disturbance(c.fit), [c], len(alone.tested)):
+        if pays_at_best(search, base, c, len(alone.tested)):
             return None
     if is_far or beside.has_alarm(bare, table):
         if _refit_pays(bare, table, beside.round(bare, table, adopted)):
             return None
     if search.first_table is None:
         search.first_table = table
-    return bare
+    if search.under_disturbance(base) is bare:
+        return bare
+    # A candidate led to a likelier disturbance of the model as it is.
+    return explaining_disturbance(search, start, base)
 
 
 def _refit_pays(bare: Weighted, table: ScoreTable, refitted: Sequence[Candidate]) -> bool:
@@ -91,7 +94,7 @@ def _refit_pays(bare: Weighted, table: ScoreTable, refitted: Sequence[Candidate]
     return any(c.gain > price_of(c.effect.cost, n, tested) for c in refitted)
 
 
-def _change_pays(search: Search, start: Weighted, bare: Weighted, table: ScoreTable) -> bool:
+def _change_pays(search: Search, start: Weighted, base: Fit, table: ScoreTable) -> bool:
     """True if the most promising change in time, refitted and placed, pays beside what it leaves.
 
     Far from the record the parameters have followed the change, and tangents misplace it, whose
@@ -100,14 +103,14 @@ def _change_pays(search: Search, start: Weighted, bare: Weighted, table: ScoreTa
     Parameters
     ----------
     start, table : the model under its sensors' noise, and its scores there.
-    bare : the model under the disturbance.
+    base : the model by its simulation error.
     """
     changes = [s for s in table.tested if s.effect.sets_in and s.effect.end is None]
     changes.sort(key=lambda s: -s.unrobust)
     promising = sorted([*changes[:1], *temporary_changes(start, table)], key=lambda s: -s.unrobust)
     found = search.refits_of(start, promising[:1])
     for c in placed(search.refitting, start, found, [], search.progress):
-        if pays(bare, search.under_disturbance(c.fit), [c], len(table.tested)):
+        if pays_at_best(search, base, c, len(table.tested)):
             return True
     return False
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
+from casid.diagnosis.evidence.whitening.weighted_model import minus_log_likelihood
 from casid.diagnosis.search.disturbance.disturbance_price import (
     explaining_disturbance,
     is_no_disturbance,
+    pays,
+    pays_at_best,
 )
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -61,3 +65,22 @@ def test_no_disturbance_is_fitted_in_the_place_of_a_law(monkeypatch: Any) -> Non
     assert is_no_disturbance(search, fit)
     monkeypatch.setattr(Search, "under_disturbance", lambda *_: pytest.fail("it was fitted"))
     assert explaining_disturbance(search, start, fit) is None
+
+
+def test_a_candidate_has_no_evidence_from_a_likelier_disturbance_that_is_there_without_it() -> None:
+    """The model as it is ended at a lower maximum of its likelihood, with twice the loss."""
+    search, fit = searched(record(heat=100.0))
+    start = search.weighing.weigh(fit.criterion.model, fit)
+    bias = next(s for s in search.table(start, []).tested if s.effect.kind == "sensor_bias")
+    (candidate,) = search.refits_of(start, [bias])
+    left, best = search.under_disturbance(candidate.fit), search.under_disturbance(fit)
+    assert best.unbiased is not None
+    x = best.unbiased.x.copy()
+    x[best.criterion.names.index("a")] *= 2.0
+    at = replace(best.fit.solution, x=x, value=best.criterion.evaluate(x).value)
+    lower = replace(best, fit=replace(best.fit, solution=at), unbiased=None)
+    search.memory.disturbed[fit] = lower
+    assert pays(lower, left, [candidate], tested=50)
+    assert not pays_at_best(search, fit, candidate, tested=50)
+    found = minus_log_likelihood(search.under_disturbance(fit))
+    assert found == pytest.approx(minus_log_likelihood(best), abs=0.1)
