@@ -201,7 +201,11 @@ def _fitted(
     """Causes in the model as it is, and its fit from the last one, the i-th cause from `steps`."""
     model, placed = extended_by(refine.start.model, causes)
     others = [k for k in range(len(causes)) if k != i]
-    values = {**near.values, **dict(zip(placed[i].names, steps, strict=True))}
+    values = dict(near.values)
+    for name, step in zip(placed[i].names, steps, strict=True):
+        # Far from where the effect was found, beside other causes, a slope may promise too much.
+        p = model.parameters[name]
+        values[name] = min(max(step, p.lower), p.upper)
     values |= values_by_new_names([placed[k] for k in others], [causes[k] for k in others])
     new = whole_fit(model, refine.split, refine.settings, refine.units, values)
     return [replace(c, fit=new) for c in placed], new

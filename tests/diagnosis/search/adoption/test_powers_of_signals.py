@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.linalg import expm
 
 import casid
 from casid.diagnosis.evidence.records.signal_sizes import sizes_of
+from casid.diagnosis.evidence.whitening.fit_points import moved
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.evidence.whitening.robust_errors import std_error
 from casid.diagnosis.search.adoption.powers_of_signals import with_better_powers
@@ -248,6 +250,22 @@ def test_a_parameter_goes_with_a_power_of_a_channel_where_the_record_says_so(
     assert kept.candidate.names == (f"{label}_UA_wind",)
     assert (found is before) is (true == named)
     assert abs(size - value) < 4 * error < 0.02
+
+
+def test_a_power_is_sought_within_its_bounds_whatever_the_slope_promises() -> None:
+    """Beside a loss that was fitted near 0 the slope is that of a power of 60."""
+    model = heater()
+    of = refinement(model, in_wind("power"), {"wind": "m/s"})
+    spread = sizes_of(of.start, {"wind"}).channels["wind"]
+    before = adopted(of, scheduled_parameter(model, "UA", "wind", "m/s", spread), 1.0)
+    assert before.fit is not None
+    x = before.fit.x.copy()
+    x[before.fit.criterion.names.index("UA")] = 0.1
+    small = moved(before.fit, before.fit.criterion, x)
+    found = with_better_powers(of, replace(before, fit=small))
+    (kept,) = found.adopted
+    assert kept.candidate.names == ("exponent_UA_wind",)
+    assert not of.search.attempts.failed
 
 
 def test_no_power_of_a_signal_that_changes_its_sign_or_of_a_temperature() -> None:
