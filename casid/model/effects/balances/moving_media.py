@@ -7,6 +7,7 @@ grows faster the force of a wind depends on the speed, and no constant imitates 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -29,7 +30,8 @@ def moving_medium(model: Model, balance: str) -> Effect | None:
     """
     b = model.balances[balance]
     own = {name: len(other.terms) for name, other in model.balances.items()}
-    if not same_dimension(model.states[b.rate].unit, "m/s") or not _drag(model, balance, b.rate):
+    is_speed = same_dimension(model.states[b.rate].unit, "m/s")
+    if not is_speed or not any(_parts(model, term, b.rate)[0] for term in b.terms):
         return None
     w = Parameter(f"w_{b.rate}", model.states[b.rate].unit, 0.0)
 
@@ -38,8 +40,14 @@ def moving_medium(model: Model, balance: str) -> Effect | None:
         known_while_null(new, names)
         v = new.symbol(b.rate)
         for name, count in own.items():
-            for term in _drag(new, name, b.rate, count):
-                new.add_term(name, ca.substitute(term, v, v - new.symbol(names[0])) - term)
+            terms = list(new.balances[name].terms)
+            for i, term in enumerate(terms[:count]):
+                drag, rest = _parts(new, term, b.rate)
+                if drag:
+                    moved = ca.substitute(sum(drag), v, v - new.symbol(names[0]))
+                    terms[i] = sum(rest, moved)
+            new.balances[name] = replace(new.balances[name], terms=tuple(terms))
+        new._explicit = None
 
     return Effect(
         "offset",
@@ -57,18 +65,18 @@ def moving_media_of(model: Model) -> Iterator[Effect]:
     return (effect for effect in found if effect is not None)
 
 
-def _drag(model: Model, balance: str, rate: str, count: int | None = None) -> list[Any]:
-    """The terms of a balance that grow faster than a rate and end where all rest.
-
-    Parameters
-    ----------
-    count : of the balance's terms as stated, the first that are looked at.
-    """
+def _parts(model: Model, term: Any, rate: str) -> tuple[list[Any], list[Any]]:
+    """The addends of a term that grow faster than a rate, zero where all rests, and the others."""
     v = model.symbol(rate)
-    rates = ca.vertcat(*[model.symbol(other.rate) for other in model.balances.values()])
-    stated = [t for term in model.balances[balance].terms[:count] for t in addends(ca.SX(term))]
-    bent = [t for t in stated if any(ca.which_depends(ca.jacobian(ca.SX(t), v), v))]
-    return [t for t in bent if _grows(t, rates)]
+    rates = [model.symbol(other.rate) for other in model.balances.values()]
+    speeds = [model.symbol(n) for n, p in model.parameters.items() if same_dimension(p.unit, "m/s")]
+    drag: list[Any] = []
+    rest: list[Any] = []
+    for part in addends(ca.SX(term)):
+        is_bent = any(ca.which_depends(ca.jacobian(ca.SX(part), v), v))
+        is_drag = is_bent and _grows(part, ca.vertcat(*rates, *speeds))
+        (drag if is_drag else rest).append(part)
+    return drag, rest
 
 
 def _grows(term: Any, rates: Any) -> bool:

@@ -130,4 +130,5 @@ def test_a_wind_is_named_with_its_speed(begin, end, wind):
     w, *instants = cause.parameters
     assert abs(w.value - wind) < 4 * w.std_error
     for found, true in zip(instants, (begin, end), strict=False):
-        assert found.value == pytest.approx(true, abs=2 * TS)
+        assert 0.0 < found.std_error < TS
+        assert abs(found.value - true) < 4 * found.std_error
