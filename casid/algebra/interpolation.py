@@ -29,6 +29,9 @@ ZeroDivisionError where it is not defined."""
 LINE_POINTS = (2, 6, 10, 16, 24, 40)
 """Points on a line until the degrees have settled: numerator + denominator up to 37."""
 
+POINTS_TRIED = 100
+"""Random points tried in turn: a function of k square roots exists at one in 2^k."""
+
 LONGEST_FACTORED = 200
 """A numerator or denominator of more terms than this is left as a sum."""
 
@@ -101,7 +104,9 @@ class Samples:
     _kept: dict[Any, tuple[list[list[int]], list[Array]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.anchor = dict(zip(self.variables, self._draw(len(self.variables)), strict=True))
+        # On a line through a point where the function is not defined it may be defined nowhere.
+        (point,), _ = self._at(self.variables, 1)
+        self.anchor = dict(zip(self.variables, point, strict=True))
 
     def line(self, variable: str, count: int) -> tuple[list[int], Array]:
         """Values (count, m) where one variable runs and all others stay at the anchor."""
@@ -127,12 +132,13 @@ class Samples:
                 )
             except ZeroDivisionError:
                 failed += 1
-                if failed > 20:
+                if failed > POINTS_TRIED:
                     raise ModelError(
-                        "20 random points in turn divide by zero: the function is defined at "
-                        "almost no point; choose other free parameters"
+                        f"{failed} random points in turn divide by zero: the function is defined "
+                        "at almost no point; choose other free parameters"
                     ) from None
                 continue
+            failed = 0
             self.evaluations += 1
             points.append(point)
             values.append(np.asarray(value, dtype=np.int64))

@@ -372,6 +372,76 @@ def test_what_is_told_of_a_group_that_moves_along_several_curves_stays_along_all
     assert {tuple(t["group"]) for t in content} == {t.group for t in a.identifiable_combinations}
 
 
+def test_a_combination_holds_along_the_curves_of_other_groups_as_well():
+    """With w = (x1' + a x1)/b, x2' = -c x2 + (d + a e/b) x1 + e/b x1': a e + b d scales with b."""
+    fields = {
+        "states": ["x1", "x2"],
+        "params": ["a", "b", "c", "d", "e"],
+        "unknown_inputs": ["w"],
+        "equations": {"x1": "-a*x1 + b*w", "x2": "-c*x2 + d*x1 + e*w"},
+        "outputs": {"y1": "x1", "y2": "x2"},
+    }
+    found = casid.assess_identifiability(casid.parse_system(fields))
+    assert found.confounded_groups == (("a", "d"), ("b", "e"))
+    a, b, d, e = sympy.symbols("a b d e")
+    of_group = {t.group: t for t in found.identifiable_combinations}
+    (first,), (second,) = (of_group[g].combinations for g in found.confounded_groups)
+    assert sympy.simplify(first - (d + a * e / b)) == 0
+    assert second == e / b
+    assert all(t.is_complete for t in of_group.values())
+    text = " ".join(str(found).split())
+    assert "on this curve alone, unchanged: a*e + b*d" in text
+    assert f"identifiable combinations of a, d: {first}" in text
+    assert "invariants: e/b" in text
+
+
+def test_a_combination_that_another_group_moves_beyond_a_factor_is_not_shown():
+    """w enters with b + f, and their ratio to the other gain cannot be a power of b and f."""
+    fields = {
+        "states": ["x1", "x2"],
+        "params": ["a", "b", "c", "d", "e", "f"],
+        "unknown_inputs": ["w"],
+        "equations": {"x1": "-a*x1 + (b + f)*w", "x2": "-c*x2 + d*x1 + e*w"},
+        "outputs": {"y1": "x1", "y2": "x2"},
+    }
+    found = casid.assess_identifiability(casid.parse_system(fields))
+    for told in found.identifiable_combinations:
+        for combination in told.combinations:
+            for f in found.families:
+                rates = f.direction.entries.items()
+                slopes = [sympy.diff(combination, sympy.Symbol(n)) * v for n, v in rates]
+                assert sympy.simplify(sum(slopes)) == 0
+    complete = {t.group: t.is_complete for t in found.identifiable_combinations}
+    assert complete == {("a", "d"): False, ("b", "e", "f"): True}
+
+
+@pytest.mark.parametrize(
+    ("equations", "wanted"),
+    [
+        ({"h": "(q - a*sqrt(2*g*h))/A"}, {"a**2*g"}),
+        ({"h": "k*q - a1*sqrt(h)", "h2": "a2*sqrt(h) - a3*sqrt(h2)"}, {"a1*a2", "k/a1**2"}),
+    ],
+    ids=["one tank", "two tanks in series"],
+)
+def test_what_is_identifiable_of_tanks_that_empty_by_a_square_root_has_a_closed_form(
+    equations, wanted
+):
+    """A square root exists at every second point of a prime field only."""
+    last = list(equations)[-1]
+    names = set().union(*(sympy.sympify(e).free_symbols for e in equations.values()))
+    fields = {
+        "states": list(equations),
+        "params": sorted(str(n) for n in names if str(n) not in {"q", *equations}),
+        "known_inputs": ["q"],
+        "equations": equations,
+        "outputs": {"y": last},
+    }
+    found = casid.assess_identifiability(casid.parse_system(fields))
+    (told,) = found.identifiable_combinations
+    assert {str(c) for c in told.combinations} == wanted
+    assert told.is_complete
+
+
 def test_curves_that_are_no_scalings_and_no_shifts_have_joint_invariants_of_their_own():
     """x' = u - p x/(q + r): one curve scales q + r, the other leaves it; p/(q + r) stays."""
     fields = {

@@ -8,15 +8,16 @@ parameters and constants: it is evaluated at random points and found by interpol
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from casid.algebra.factoring import factored
 from casid.algebra.prime_field import null_space
 from casid.arrays import Array
-from casid.errors import IdentifiabilityError
+from casid.errors import IdentifiabilityError, ModelError
 from casid.identifiability.combinations.family import Family, family
 from casid.identifiability.combinations.fixing_sets import FixingSets
 from casid.identifiability.combinations.null_direction import (
@@ -67,7 +68,7 @@ def families(
         found = _directions(systems, fixing.sets[0], seed, is_over)
     except OutOfTime:
         return (), (), f"no closed form of the families was found in {time_limit:g} s of computing"
-    except (IdentifiabilityError, ZeroDivisionError) as error:
+    except (IdentifiabilityError, ModelError, ZeroDivisionError) as error:
         return (), (), f"no closed form of the families was found: {error}"
     directions = tuple(_simplest(d, fixing) for d in found)
     made = []
@@ -105,7 +106,10 @@ def _directions(
         """The null basis at a point modulo p, normalised to the free columns."""
         if is_over():
             raise OutOfTime
-        point = evaluation.at(p, rng, values=values)
+        try:
+            point = evaluation.at(p, rng, values=values)
+        except ModelError as nowhere:  # a square root exists at every second point only
+            raise ZeroDivisionError(str(nowhere)) from nowhere
         null = null_space(point.information, p)
         if len(null) != len(free):  # an unlucky point
             raise ZeroDivisionError("the rank is smaller at this point")
@@ -155,8 +159,53 @@ def identifiable_combinations(
     for group, size in zip(fixing.groups, fixing.group_sizes, strict=True):
         inside = [f for f in families if f.free in group]
         if len(inside) == size:
-            out.append(IdentifiableCombinations(group, *joint_invariants(inside)))
+            found, is_complete = joint_invariants(inside)
+            moving = {n for g in fixing.groups if g != group for n in g}
+            outside = [f for f in families if f.free not in group]
+            kept = [k for k in (_unmoved(c, outside, moving) for c in found) if k is not None]
+            is_complete = is_complete and len(kept) == len(found)
+            out.append(IdentifiableCombinations(group, tuple(kept), is_complete))
     return tuple(out)
+
+
+def _unmoved(combination: Any, outside: Sequence[Family], moving: Collection[str]) -> Any | None:
+    """A group's combination as none of the other groups' families changes it, or None.
+
+    Parameters of other groups may be its coefficients. Where these are scaled, and the combination
+    with them by a factor, a power of theirs takes that factor out.
+    """
+    import sympy
+
+    symbols = {s.name: s for s in combination.free_symbols if s.name in moving}
+    touching = [f for f in outside if set(f.moved) & set(symbols)]
+    if not set(symbols) <= {n for f in touching for n in f.moved}:
+        return None  # a family that moves them was not found
+    degrees = []
+    for f in touching:
+        if any(f.direction.entries[n] is None for n in symbols):
+            return None
+        rate = sum(
+            (sympy.diff(combination, s) * f.direction.entries[n] for n, s in symbols.items()),
+            sympy.Integer(0),
+        )
+        degrees.append(sympy.cancel(rate * sympy.Symbol(f.free) / combination))
+    if all(k == 0 for k in degrees):
+        return combination
+    names = sorted({n for f in touching for n in f.moved})
+    weights = [f.weights for f in touching]
+    if any(w is None for w in weights) or not all(k.is_Rational for k in degrees):
+        return None
+    # A family's rate is per unit of its free parameter, whose own weight need not be one.
+    rows = sympy.Matrix([[(w or {}).get(n, 0) for n in names] for w in weights])
+    wanted = sympy.Matrix(
+        [-k * (w or {})[f.free] for k, w, f in zip(degrees, weights, touching, strict=True)]
+    )
+    pivots = rows.rref()[1]
+    if len(pivots) < len(touching):
+        return None
+    powers = rows[:, list(pivots)].LUsolve(wanted)
+    factor = sympy.Mul(*(sympy.Symbol(names[j]) ** k for j, k in zip(pivots, powers, strict=True)))
+    return factored(combination * factor)
 
 
 def joint_invariants(families: Sequence[Family]) -> tuple[tuple[Any, ...], bool]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from casid.identifiability.assessment import Answer, Assessment
+from casid.identifiability.combinations.family import Family
 from casid.model.quantities import shortened
 from casid.report.document import Document, labelled
 
@@ -80,23 +81,36 @@ def group_words(group: Sequence[str]) -> str:
 
 def family_lines(a: Assessment) -> list[tuple[str, list[str]]]:
     """What moves, and lines about it: a curve each, then groups that move along several curves."""
-    groups = [(g, [f for f in a.families if f.free in g]) for g in a.confounded_groups]
-    several = {f.free for _, inside in groups if len(inside) > 1 for f in inside}
+    alone = {f.free for f in a.families if _moves_elsewhere(f, a)}
     out = []
     for f in a.families:
         if len(f.moved) > 1 or not f.is_closed:
             lines = str(f).splitlines()
-            if f.free in several:
+            if f.free in alone:
                 lines = [x.replace("invariants:", "on this curve alone, unchanged:") for x in lines]
             out.append((f.free, lines))
     for found in a.identifiable_combinations:
-        if several & set(found.group) and found.combinations:
+        if alone & set(found.group) and found.combinations:
             more = "" if found.is_complete else ", and more"
             names = ", ".join(found.group)
             combinations = ", ".join(map(str, found.combinations))
             words = f"identifiable combinations of {names}: {combinations}{more}"
             out.append((names, [words]))
     return out
+
+
+def _moves_elsewhere(f: Family, a: Assessment) -> bool:
+    """True if an invariant of this family may change along another one."""
+    group = next((g for g in a.confounded_groups if f.free in g), ())
+    if sum(other.free in group for other in a.families) > 1:
+        return True
+    kept = [
+        c
+        for found in a.identifiable_combinations
+        if f.free in found.group
+        for c in found.combinations
+    ]
+    return not set(f.invariants) <= set(kept)
 
 
 def _remedies(a: Assessment) -> list[str]:
