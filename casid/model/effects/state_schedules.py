@@ -173,8 +173,9 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     that a sensor shows as well (a valve's coefficient); or it is that of a reaction, which its
     product inhibits. Elsewhere it is a force that grows with its state, and tested as one. With a
     state that keeps its sign what a sensor shows as well also goes as a power of it, and so does
-    the rate of a reaction with the amount of what reacts: its order. The gain of an input may fall
-    with it, and that of one that is never negative may level off.
+    the rate of a reaction with the amount of what reacts: its order. The gain of an input that is
+    never negative may level off with it, and one of a force that is no straight line of the input
+    changes with it in any way.
     """
     for name, p in model.parameters.items():
         if p.is_constant or (p.is_known and p.value == 0.0):
@@ -185,7 +186,7 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             for b in model.balances.values()
             if any(ca.which_depends(b.total, symbol))
         }
-        several = _of_several(model, symbol, inside)
+        several, gained = _of_several(model, symbol, inside), _gained(model, name, inside)
         reactants = [x for x in several if is_amount(model.symbol_units[x])]
         states = (
             *several,
@@ -193,7 +194,7 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             *_of_gains(model, symbol, inside),
             *_shown(model, symbol, inside),
             *(beside := _shown_as_well(model, symbol, inside)),
-            *(gained := _gained(model, name, inside)),
+            *(channel for channel in gained if _is_bent(model, inside, channel)),
         )
         for state in dict.fromkeys(states):
             for power in range(1, SATURATIONS.powers + 1):
@@ -239,6 +240,13 @@ def _gained(model: Model, name: str, inside: Mapping[str, Any]) -> list[str]:
         return []
     ends = ca.substitute(slope, model.symbol(*felt), 0.0)  # no input, no force
     return [*felt] if is_zero(ca.sumsqr(ends)) else []
+
+
+def _is_bent(model: Model, inside: Mapping[str, Any], channel: str) -> bool:
+    """True where balances are no straight line of an input, whose force a linear gain gives."""
+    u = model.symbol(channel)
+    slope = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), u)
+    return any(ca.which_depends(slope, ca.vertcat(u, *(model.symbol(s) for s in model.states))))
 
 
 def _of_several(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:

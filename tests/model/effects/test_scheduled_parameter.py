@@ -532,7 +532,7 @@ def test_the_gain_of_an_input_that_is_never_negative_may_saturate_with_it(lowest
     gains = [e for e in state_schedules_of(m, sizes) if e.where == "p~light"]
     found = [e for e in gains if is_inhibited(e)]
     assert len(found) == levels_off
-    assert {e.variant for e in gains} >= {1.0, 2.0}
+    assert gains == found  # a gain that changes otherwise is a law of the input's own
     for effect in found:
         extended, (r,) = effect.extended(m)
         e = extended.explicit()

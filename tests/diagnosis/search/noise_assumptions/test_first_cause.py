@@ -61,13 +61,12 @@ def refits(said: list[str]) -> list[str]:
     return [s.partition(": ")[2] for s in said if s.startswith("refit ")]
 
 
-def test_what_leaves_no_disturbance_is_the_first_cause_and_only_its_like_is_refitted_for_it():
-    """A gain that changes with the fin's angle acts as a gap does."""
+def test_what_leaves_no_disturbance_is_the_first_cause_and_nothing_else_is_refitted_for_it():
     found, said = diagnosed(record())
     assert [(c.kind, c.where) for c in found.causes] == [("deadzone", "fin")]
     gap = found.causes[0].parameters[0]
     assert abs(gap.value - GAP) < 3 * gap.std_error
-    assert set(refits(said)) == {"dead zone in fin", "change of K with fin"}
+    assert set(refits(said)) == {"dead zone in fin"}
 
 
 @pytest.mark.slow
