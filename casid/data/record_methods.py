@@ -82,7 +82,8 @@ class RecordMethods:
         time : the time column; found by its name, or the index, where not given.
         Ts : sample time [s] of a table without time; its clock starts at 0.
         resample : sample time [s] of a uniform grid for a table sampled irregularly.
-        mark_missing : mark Inf as missing, as NaN is, instead of refusing it.
+        mark_missing : mark Inf as missing, as NaN is, instead of refusing it, and take every sample
+            of an uneven clock at its own instant.
         name : default the frame's ``attrs["name"]``, or "frame".
 
         Raises
@@ -97,7 +98,12 @@ class RecordMethods:
             None,
             units,
             _of("reading.survey", "ReadingOptions")(
-                time=time, name=name, resample=resample, Ts=Ts, mark_missing=mark_missing
+                time=time,
+                name=name,
+                resample=resample,
+                Ts=Ts,
+                mark_missing=mark_missing,
+                takes_gaps=mark_missing,
             ),
         )
         return record

@@ -55,6 +55,18 @@ def test_the_time_may_be_the_index_dates_or_durations():
         casid.Record.from_frame(pd.DataFrame(values, index=[0.0, 1.0, 1.5, 4.0]))
 
 
+def test_an_uneven_clock_is_taken_as_it_is_where_the_refusal_says_so():
+    """Blood samples are drawn often at first, and seldom later."""
+    t = 3600.0 * np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
+    frame = pd.DataFrame({"t": t, "c": np.exp(-t / 7200.0)})
+    with pytest.raises(casid.DataError, match="mark_missing=True takes every sample at its own"):
+        casid.Record.from_frame(frame)
+    found = casid.Record.from_frame(frame, mark_missing=True)
+    taken = ~found.is_missing("c")
+    assert found.t[taken] == pytest.approx(t)
+    assert found["c"][taken] == pytest.approx(frame["c"].to_numpy())
+
+
 def test_what_is_no_table_of_one_experiment_is_refused():
     with pytest.raises(casid.DataError, match="list is no table; give a pandas DataFrame"):
         casid.Record.from_frame([1.0, 2.0])
