@@ -1333,6 +1333,18 @@ class Planning:
     easily: float = _is(
         3600.0, "seconds that a record may last whatever the present one does", _NEXT
     )
+    realistic: float = _is(
+        10.0,
+        "times the longest that is advised (`longest`, `easily`), up to which a length is stated: a "
+        "longer one is extrapolated a hundredfold from a linear prediction, and is no length",
+        _NEXT,
+    )
+    lasting: float = _is(
+        31557600.0,
+        "seconds, a year, beyond which no length is stated that is not advised: systems change, and "
+        "so do the people who record them",
+        _NEXT,
+    )
     notable: float = _is(1.5, "times less energy needed: it is mentioned", _NEXT)
     rank_limit: float = _is(
         0.3, "seconds for the rank of one extended model", f"{TESTS}/advice/test_undetectable.py"

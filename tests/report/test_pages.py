@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import pytest
 
 import casid
+from casid.diagnosis.advice.next_experiment import Proposal
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked
 from casid.estimation.estimate import Estimated
@@ -19,7 +20,7 @@ from casid.report.document import Table
 from casid.report.figures.diagnosis import diagnosis_figures
 from casid.report.numbers import estimated_texts
 from casid.report.pages.cause_parts import ranking_parts
-from casid.report.pages.limit_parts import inseparable
+from casid.report.pages.limit_parts import inseparable, proposals_table
 from tests.support import sample_parts, samples
 from tests.support.fitted_models import extended_pendulum, pendulum_alone
 from tests.support.samples import page_of
@@ -46,6 +47,26 @@ def test_an_unknown_alternative_is_listed_once():
     table = inseparable(d)
     assert isinstance(table, Table)
     assert len(table.rows) == 1
+
+
+def test_a_length_that_nobody_would_record_is_a_bound_and_no_number_of_years():
+    """Thirteen years would be extrapolated a hundredfold from a record of an hour."""
+    proposal = Proposal(
+        name="larger",
+        description="twice the amplitude",
+        pair=(("offset", "heat"), ("sensor_bias", "T")),
+        cosine=0.99,
+        energy_needed=1e3,
+        record_length=13 * 31557600.0,
+        gain_factor=1.0,
+        seconds=3600.0,
+        limit=36000.0,
+    )
+    d = replace(samples.deficient(), proposals=(proposal,))
+    assert proposals_table(d).rows[0][4] == "more than 4.2 days (too long)"
+    d = replace(d, proposals=(replace(proposal, record_length=72000.0),))
+    assert str(proposals_table(d).rows[0][4]).endswith("(too long)")
+    assert "more than" not in str(proposals_table(d).rows[0][4])
 
 
 def test_terms_of_an_effect_that_is_not_the_cause_are_marked_as_the_nearest():

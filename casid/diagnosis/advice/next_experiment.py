@@ -88,6 +88,16 @@ class Proposal:
         """True if a record that somebody would make separates the causes."""
         return isfinite(self.record_length) and self.record_length <= self.limit
 
+    @property
+    def is_realistic(self) -> bool:
+        """False of a length that nobody would record, and that is not worth stating."""
+        return self.record_length <= self.longest_stated
+
+    @property
+    def longest_stated(self) -> float:
+        """Seconds: the longest record whose length is stated (`PLANNING.realistic`)."""
+        return max(self.limit, min(PLANNING.realistic * self.limit, PLANNING.lasting))
+
     def is_clearer(self, now: Proposal) -> bool:
         """True if it halves the energy needed, at least, and needs no longer record.
 
@@ -331,14 +341,23 @@ def _beside_the_same(best: Proposal, now: Proposal) -> str:
 
 def _too_long(who: str, best: Proposal, now: Proposal) -> str:
     """That every experiment considered takes longer than anybody would measure."""
+    remedy = (
+        "Determine one of them independently of these records, or record under conditions in which "
+        "they are larger."
+    )
+    if not best.is_realistic:
+        longest = record_length_text(best.longest_stated)
+        return (
+            f"No realistic record length separates {who}: every experiment considered would take "
+            f"more than {longest}. {remedy}"
+        )
     what = "the same experiment again" if best is now else best.description
     is_by_record = now.limit > PLANNING.easily
     of_record = f", {PLANNING.longest:g} times the present records" if is_by_record else ""
     return (
         f"No experiment of a reasonable length (here up to {record_length_text(now.limit)}"
         f"{of_record}) separates {who}: the shortest of those considered, {what}, would take about "
-        f"{record_length_text(best.record_length)}. Determine one of them independently of these "
-        "records, or record under conditions in which they are larger."
+        f"{record_length_text(best.record_length)}. {remedy}"
     )
 
 

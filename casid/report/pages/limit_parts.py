@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from casid.diagnosis.advice.next_experiment import Proposal
+from casid.diagnosis.advice.next_experiment import Proposal, record_length_text
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.model.effects.names import effect_words
 from casid.model.quantities import quantity_text
@@ -111,6 +111,8 @@ def _length_text(p: Proposal) -> str:
     """How long a record an experiment takes, and whether anybody would make it."""
     if not math.isfinite(p.record_length):
         return "never"
+    if not p.is_realistic:
+        return f"more than {record_length_text(p.longest_stated)} (too long)"
     return quantity_text(p.record_length, "s") + ("" if p.is_feasible else " (too long)")
 
 

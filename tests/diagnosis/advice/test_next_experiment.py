@@ -251,18 +251,25 @@ def planned(name: str, length: float, gain: float = 1.0, seconds: float = 86400.
     ("now", "others", "said"),
     [
         pytest.param(
-            190.0,
-            [("larger", 200.0, 1.0)],
+            19.0,
+            [("larger", 20.0, 1.0)],
             "No experiment of a reasonable length (here up to 10 days, 10 times the present "
             "records) separates an offset from a bias: the shortest of those considered, the same "
-            "experiment again, would take about 190 days. Determine one of them independently",
+            "experiment again, would take about 19 days. Determine one of them independently",
             id="all too long",
         ),
         pytest.param(
             np.inf,
-            [("slow", 5000.0, 4.0), ("larger", 700.0, 1.0)],
-            "the shortest of those considered, larger, would take about 700 days.",
+            [("slow", 5000.0, 4.0), ("larger", 70.0, 1.0)],
+            "the shortest of those considered, larger, would take about 70 days.",
             id="a clearer one is longer still",
+        ),
+        pytest.param(
+            4700.0,
+            [("larger", 4600.0, 1.0)],
+            "No realistic record length separates an offset from a bias: every experiment "
+            "considered would take more than 100 days. Determine one of them independently",
+            id="so long that its length is not stated",
         ),
         pytest.param(
             5000.0,
