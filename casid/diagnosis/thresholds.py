@@ -1335,14 +1335,14 @@ class Planning:
     )
     realistic: float = _is(
         10.0,
-        "times the longest that is advised (`longest`, `easily`), up to which a length is stated: a "
-        "longer one is extrapolated a hundredfold from a linear prediction, and is no length",
+        "times the longest that is advised (`longest`, `easily`), up to which a length is stated: "
+        "a longer one is extrapolated a hundredfold from a linear prediction, and is no length",
         _NEXT,
     )
     lasting: float = _is(
         31557600.0,
-        "seconds, a year, beyond which no length is stated that is not advised: systems change, and "
-        "so do the people who record them",
+        "seconds, a year, beyond which no length is stated that is not advised: systems change, "
+        "and so do the people who record them",
         _NEXT,
     )
     notable: float = _is(1.5, "times less energy needed: it is mentioned", _NEXT)

@@ -12,9 +12,10 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
-from casid.errors import DataError, ModelError, SolveError, nearest
+from casid.errors import DataError, ModelError, nearest
 from casid.estimation.fitted.driving import Driving, driving_of, silent_causes, warn_of
 from casid.estimation.fitted.equations import ModelEquations, equations_of
+from casid.estimation.fitted.finite_simulation import require_finite_simulation
 from casid.estimation.fitted.innovations_form import predicted
 from casid.estimation.fitted.model_comparison import ModelComparison, compared
 from casid.estimation.fitted.parts import (
@@ -466,13 +467,7 @@ class FittedModel(Saved, Exportable, Viewed):
         nodes, cuts = self._nodes(given, x0)
         simulation = KnownSimulation(model, given.Ts, self._substeps(given.Ts))
         y, x = simulation.run(u, values, nodes, cuts)
-        bad = ~np.all(np.isfinite(y), axis=1) | ~np.all(np.isfinite(x), axis=1)
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise SolveError(
-                f"{self.name}: the simulation of {given.name} diverges at t = {given.t[k]:g} s "
-                f"(sample {k}); check the inputs and x0, or give a smaller Ts"
-            )
+        require_finite_simulation(self.name, model, given, values, y, x)
         channels, units = {}, {}
         for i, (name, entry) in enumerate(model.inputs.items()):
             if entry.kind != "generated":

@@ -18,6 +18,7 @@ from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
 from casid.estimation.nlp.solver import Solver, descending, quasi_newton
 from casid.estimation.simulation.channels.sensor_dynamics import due_to_earlier_inputs
 from casid.estimation.simulation.simulation_error import SimulationError, Whitener
+from casid.estimation.simulation.singular_samples import singular_sample
 from casid.model.model import Model
 from casid.time_limit import require_time, seconds_left
 
@@ -342,11 +343,12 @@ def divergence(criterion: SimulationError, x: Array) -> tuple[str, str]:
         with np.errstate(all="ignore"):
             y, _, _ = criterion.simulate(x, e)
         bad = ~np.all(np.isfinite(y), axis=1)
-        what = f"the sensitivities of {d.name} are not finite from the start values"
+        what, samples = f"the sensitivities of {d.name} are not finite from the start values", None
         if bad.any():
             k = int(np.argmax(bad))
             what = f"the simulation of {d.name} diverges at t = {d.t[k]:g} s (sample {k}) from the "
             what += "start values"
+            samples = (max(k - 1, 0), k)
         if names := _singular_at_zero(criterion, x, e):
             verb = "begins" if len(names) == 1 else "begin"
             return (
@@ -355,6 +357,9 @@ def divergence(criterion: SimulationError, x: Array) -> tuple[str, str]:
                 f'declare a start other than 0, as in m.state("{names[0]}", ..., start=1.0), '
                 "or the initial value where it is known, initial=1.0",
             )
+        p, x0 = criterion.parameter_vector(x, e)
+        if found := singular_sample(criterion.model, d.u, p, d.t, x0, samples):
+            return f"{what}: {found[0]}", found[1]
         if bad.any():
             return what, f"change the start, fix a parameter, or {_SHOOTING}"
     what = "the sensitivities are not finite at the start"

@@ -18,8 +18,8 @@ import numpy as np
 from casid.algebra.symbolic import exact
 from casid.arrays import Array
 from casid.errors import DataError, ModelError
-from casid.identifiability.equations.formula_scope import is_finite
 from casid.identifiability.equations.system import System
+from casid.identifiability.equations.zeros import with_zeros
 from casid.model.declarations import Stage
 from casid.model.model import Model
 
@@ -101,7 +101,7 @@ def system_of(
     )
     zeros = {p: v for p, v in fixed.items() if v == 0.0}
     at = {} if generic else {p: exact(v) for p, v in fixed.items() if v != 0.0}
-    return _finite(system.where(at=at).substituted(zeros), list(zeros))
+    return with_zeros(system.where(at=at), list(zeros))
 
 
 def translated(
@@ -163,13 +163,13 @@ def _with_samples(model: Model, system: System, experiment: Experiment) -> tuple
     notes += [
         f"input {n} is the same in all samples, and assumed a known constant" for n in constant
     ]
-    system = system.substituted(dict.fromkeys(zero, 0.0)).where(name=experiment.name)
+    system = with_zeros(system.where(name=experiment.name), zero)
     reduced = system.where(
         inputs=tuple(u for u in system.inputs if u not in constant),
         constants=(*system.constants, *constant),
         at={**system.at, **constant},
     )
-    return _finite(reduced, zero), notes
+    return reduced, notes
 
 
 def _own_names(
@@ -251,17 +251,6 @@ def _units(model: Model) -> dict[str, str]:
     for entries in (model.states, model.inputs, model.parameters):
         units |= {name: entry.unit for name, entry in entries.items()}
     return units
-
-
-def _finite(system: System, zeros: Sequence[str]) -> System:
-    """The system, unless the zeros inserted make it divide by zero."""
-    if not is_finite(ca.vertcat(system.f, system.h)):
-        guilty = f" with {', '.join(zeros)} = 0" if zeros else ""
-        raise ModelError(
-            f"{system.name}: division by zero at every point{guilty}; correct that value, or "
-            "rewrite the equation so that it does not divide by it"
-        )
-    return system
 
 
 def _unexcited(

@@ -21,6 +21,7 @@ import casadi as ca
 
 from casid.errors import ModelError, nearest
 from casid.identifiability.equations.system import System
+from casid.identifiability.equations.zeros import with_zeros
 from casid.identifiability.inputs.signals import differentiated, free_name
 from casid.model.expressions import parse
 
@@ -164,7 +165,7 @@ def as_harmonic(
 
 def as_zero(system: System, inputs: Sequence[str] | None = None) -> System:
     """Unknown inputs are zero."""
-    return system.substituted(dict.fromkeys(_named(system, inputs), 0.0))
+    return with_zeros(system, _named(system, inputs))
 
 
 def with_input_class(system: System, classes: Mapping[str, InputClass]) -> System:
@@ -198,8 +199,8 @@ def _of_class(system: System, u: str, kind: Any) -> System:
         return system
     if kind == "zero" or isinstance(kind, Real):
         level = 0.0 if isinstance(kind, str) else float(kind)
-        zeros = dict.fromkeys(_with_derivatives(system, {u: None}), 0.0)
-        return system.substituted({**zeros, u: level})
+        zeros = [n for n in _with_derivatives(system, {u: None}) if n != u or level == 0.0]
+        return with_zeros(system.substituted({} if u in zeros else {u: level}), zeros)
     if kind == "harmonic":
         return as_exosystem(system, _harmonic(system, u, known=(0, 1, 2)))
     degree = {"constant": 0, "ramp": 1}.get(kind) if isinstance(kind, str) else None

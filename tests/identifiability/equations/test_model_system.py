@@ -148,7 +148,7 @@ def test_known_initial_values_are_exact():
 
 
 def test_known_values_that_divide_by_zero_are_named():
-    with pytest.raises(ModelError, match=r"division by zero at every point with m, load = 0; corr"):
+    with pytest.raises(ModelError, match="with m, load = 0: the equations divide by m.*; correct"):
         system_of(spring(), known={"m": 0.0})
 
 
@@ -309,7 +309,7 @@ def test_a_zero_input_in_a_denominator_is_named():
     model = spring()
     model.output("ratio", model.symbol("x") / model.symbol("F"), "m/N")
     run = record(F=0.0).with_channel("ratio", np.zeros(50), "m/N")
-    with pytest.raises(ModelError, match="free: division by zero at every point with F = 0; corr"):
+    with pytest.raises(ModelError, match="free: .* with F = 0: the equations divide by F; correct"):
         translated(model, [casid.Experiment(run, name="free")])
 
 

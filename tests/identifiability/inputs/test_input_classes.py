@@ -355,3 +355,33 @@ def test_what_cannot_be_shared_is_refused():
         merge([])
     with pytest.raises(ModelError, match="once or more often"):
         replicas(tank(), 0)
+
+
+# -- inputs that the equations divide by -----------------------------------------------------------
+
+RATIO = {
+    "states": ["c"],
+    "params": ["V", "a"],
+    "known_inputs": ["q", "F"],
+    "equations": {"c": "F*(a*q/F - c)/V"},
+    "outputs": {"y": "c"},
+}
+
+
+@pytest.mark.parametrize("outputs", [{"y": "c"}, {"y": "c", "ratio": "a*q/F"}])
+def test_an_input_that_the_equations_divide_by_is_not_zero(outputs):
+    """Also where F stands before the quotient: 0 * (q / 0) has no value, and is not 0."""
+    mixer = parse_system({**RATIO, "outputs": outputs})
+    with pytest.raises(ModelError, match="with F = 0: the equations divide by F; correct"):
+        with_input_class(mixer, {"F": "zero"})
+    with pytest.raises(ModelError, match="with F = 0: the equations divide by F; correct"):
+        with_input_class(mixer, {"F": 0.0})
+    assert with_input_class(mixer, {"F": 2.0}).inputs == ("q",)
+    assert with_input_class(mixer, {"q": "zero"}).inputs == ("F",)
+
+
+def test_an_unknown_input_that_the_equations_divide_by_is_not_zero_either():
+    system = {k: v for k, v in RATIO.items() if k != "known_inputs"}
+    mixer = parse_system({**system, "known_inputs": ["q"], "unknown_inputs": ["F"]})
+    with pytest.raises(ModelError, match="with F = 0: the equations divide by F; correct"):
+        as_zero(mixer)
