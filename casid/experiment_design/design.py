@@ -97,7 +97,7 @@ def design_experiment(
     """
     began = time.process_time()
     o = filled(options)
-    nominal = nominal_of(source)
+    nominal = nominal_of(source, with_causes=aim.kind in ("estimate", "identifiable"))
     own = limits_of(
         nominal.acting, limits, slew=o["slew"], max_energy=o["max_energy"], release=o["release"]
     )
@@ -392,7 +392,7 @@ def _other_courses(setup: Setup) -> list[str]:
 
 
 def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[str]:
-    notes = []
+    notes = [search.setup.nominal.note] if search.setup.nominal.note else []
     lost = [
         p.name
         for p in parameters

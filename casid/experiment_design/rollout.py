@@ -173,13 +173,14 @@ class Rollout:
         slopes, nz = _blocks(self._mapped("slope")(*at["points"]), self.count), self.nz
         ng = self.step.map.size1_out(1)
         tangent, information, signals, tangents = self._first_slope(), 0.0, [], []
-        for k, own in enumerate(slopes):
-            both = np.vstack([tangent, self.into[k].toarray()])
-            tangents.append(both)
-            carried = own @ both
-            tangent = carried[:nz]
-            information = information + carried[nz : nz + ng]
-            signals.append(carried[nz + ng :])
+        with np.errstate(all="ignore"):  # of a point that diverges, which a search may try
+            for k, own in enumerate(slopes):
+                both = np.vstack([tangent, self.into[k].toarray()])
+                tangents.append(both)
+                carried = own @ both
+                tangent = carried[:nz]
+                information = information + carried[nz : nz + ng]
+                signals.append(carried[nz + ng :])
         at["slope"] = np.vstack([np.asarray(information), *signals])
         at["slopes"], at["tangents"] = slopes, tangents
         return np.asarray(at["slope"])

@@ -6,15 +6,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.errors import DataError, ModelError, nearest
 from casid.estimation.fitted.fitted_model import FittedModel, HasModel
+from casid.estimation.simulation.records.signals import off_the_clock
 from casid.experiment_design.excitation import Excitation
 from casid.experiment_design.limits import Limits
 from casid.model.model import Model
+
+_TAKEN = "The design is for the extended model, with what the diagnosis found"
+_LEFT_OUT = (
+    "The design is for the model without what the diagnosis found, of which something acts on "
+    "whole signals: that is computed beside the equations, which a design cannot differentiate"
+)
 
 Source: TypeAlias = "Problem | Model | FittedModel | HasModel"
 """What an experiment can be designed for: a problem, or the result of a fit or a diagnosis."""
@@ -30,6 +38,7 @@ class Nominal:
     sizes : cause -> values of its parameters that a diagnosis found.
     noise : output -> standard deviation of its white noise, as far as it is known.
     Ts : sample time of the records at hand [s]; None without any.
+    note : which causes of a diagnosis the model has, or lacks.
     """
 
     name: str
@@ -40,6 +49,7 @@ class Nominal:
     noise: Mapping[str, float] = field(default_factory=dict)
     Ts: float | None = None
     effects: Sequence[Any] = ()
+    note: str = ""
     acting: Model = field(init=False)
 
     def __post_init__(self) -> None:
@@ -52,8 +62,13 @@ class Nominal:
         return tuple(self.model.eliminated_units)
 
 
-def nominal_of(source: Source) -> Nominal:
+def nominal_of(source: Source, *, with_causes: bool = False) -> Nominal:
     """The model to design for, from a problem at its starts or from a result at its estimates.
+
+    Parameters
+    ----------
+    with_causes : take the extended model of a diagnosis, with what it found, as parameters are to
+        be estimated; causes are separated and detected in the model without them.
 
     Raises
     ------
@@ -62,7 +77,8 @@ def nominal_of(source: Source) -> Nominal:
     """
     if isinstance(source, Model):
         source = Problem(source.name, source)
-    found = _of_problem(source) if isinstance(source, Problem) else _of_result(source)
+    is_problem = isinstance(source, Problem)
+    found = _of_problem(source) if is_problem else _of_result(source, with_causes=with_causes)
     model = found.model
     unknown = [n for n, u in model.inputs.items() if u.kind == "unknown"]
     if unknown:
@@ -90,28 +106,49 @@ def _of_problem(problem: Problem) -> Nominal:
     )
 
 
-def _of_result(result: Any) -> Nominal:
+def _of_result(result: Any, *, with_causes: bool) -> Nominal:
     fitted = result if isinstance(result, FittedModel) else getattr(result, "model", None)
     if not isinstance(fitted, FittedModel):
         raise ModelError(
             f"{result!r} is nothing to design an experiment for; give a Problem, a Model, or the "
             "result of casid.identify or casid.diagnose"
         )
-    base = fitted if fitted.baseline is None else fitted.baseline
-    values = {n: v for n, v in fitted.si_values.items() if n in base.model.parameters}
-    estimated = set(base.covariance_names)
+    base, note = fitted.baseline or fitted, ""
+    model, estimated = base.model, set(base.covariance_names)
+    if with_causes and fitted.causes:
+        extended = off_the_clock(fitted.model)
+        acting = _acting_parameters(extended)
+        if extended.stages:
+            note = f"{_LEFT_OUT}: {', '.join(c.words for c in fitted.causes)}."
+        else:
+            model, estimated = extended, set(fitted.covariance_names) & acting
+            named = [c.words for c in fitted.causes if acting & set(c.parameters)]
+            note = f"{_TAKEN}: {', '.join(named)}." if named else ""
     sizes = {
         (c.kind, c.where): {n: fitted.si_values[n] for n in c.parameters} for c in fitted.causes
     }
     return Nominal(
         fitted.name,
-        base.model,
-        values,
-        tuple(n for n in base.model.parameters if n in estimated),
+        model,
+        {n: v for n, v in fitted.si_values.items() if n in model.parameters},
+        tuple(n for n in model.parameters if n in estimated),
         sizes,
         _errors(result, fitted.model),
         fitted.Ts,
+        note=note,
     )
+
+
+def _acting_parameters(model: Model) -> set[str]:
+    """The parameters of the equations off the clock, where the size of a jump does nothing."""
+    e = model.explicit()
+    entries = [model.inputs[n] for n in e.inputs]
+    idle = [x.kind == "generated" and x.signal is None for x in entries]
+    given = ca.vertcat(*[0 if off else e.u[i] for i, off in enumerate(idle)])
+    equations = ca.vertcat(e.f, e.h)
+    if any(idle):
+        equations = ca.substitute(equations, e.u, given)
+    return {s.name() for s in ca.symvar(equations)}
 
 
 def _errors(result: Any, model: Model) -> dict[str, float]:
