@@ -73,4 +73,4 @@ def export(
     refuse_existing(path, force=force)
     model = fitted_model(result)
     point = dict(parse_setting(text, "--at") for text in at)
-    say(f"wrote {run(model, target, path, at=point, **delays)}")
+    say(f"wrote {run(model, target, path, at=point, say=say, **delays)}")

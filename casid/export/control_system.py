@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError, nearest
+from casid.estimation.fitted.driving import warn_of
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import function_of
 from casid.export.naming import checked_path, written_by
@@ -54,7 +56,26 @@ def control_system(
     ModelError
         If a name is no state or input, the model has no slope there, or an output or an input is
         delayed and no order is given.
+
+    Warns
+    -----
+    UserWarning
+        Of slopes that are those of the smoothing of a friction.
     """
+    system, notes = _linearised(fitted, at, time, pade, without_delays=without_delays)
+    warn_of(*notes)
+    return system
+
+
+def _linearised(
+    fitted: FittedModel,
+    at: Mapping[str, float] | None,
+    time: float | None,
+    pade: int | None,
+    *,
+    without_delays: bool,
+) -> tuple[Any, list[str]]:
+    """The state space, and what its user should know."""
     plain = plain_model(fitted, what="a state space", without_delays=without_delays)
     delays = {**plain.delays, **plain.dead_times}
     if delays and pade is None:
@@ -68,7 +89,9 @@ def control_system(
     if pade is not None and not 1 <= pade <= _MAX_ORDER:
         raise ModelError(f"{plain.name}: pade = {pade!r}; give an order from 1 to {_MAX_ORDER}")
     begin = fitted.records[0].t0 if time is None else time
-    A, B, C, D = _matrices(plain, fitted.model.in_si(_point(fitted, at)), begin)
+    point = fitted.model.in_si(_point(fitted, at))
+    A, B, C, D = _matrices(plain, point, begin)
+    notes = _slopes_of_smoothing(fitted, plain, point, begin, A)
     inputs = list(plain.inputs)
     if not inputs:
         B, D, inputs = np.zeros((len(A), 1)), np.zeros((len(C), 1)), ["none"]
@@ -83,7 +106,7 @@ def control_system(
             states += [f"{name} delay {i + 1}" for i in range(pade or 1)]
     import control
 
-    return control.StateSpace(
+    system = control.StateSpace(
         A,
         B,
         C,
@@ -93,6 +116,28 @@ def control_system(
         outputs=list(plain.outputs),
         name=plain.name,
     )
+    return system, notes
+
+
+def _slopes_of_smoothing(
+    fitted: FittedModel, plain: PlainModel, point: Mapping[str, float], time: float, A: Array
+) -> list[str]:
+    """What says that slopes are those of the smoothing of a friction, a sentence for each cause."""
+    notes = []
+    for cause in fitted.causes:
+        if "speed" not in cause.constants or not cause.parameters:
+            continue
+        frictionless = replace(plain, values={**plain.values, cause.parameters[0]: 0.0})
+        due = np.abs(A - _matrices(frictionless, point, time)[0])
+        if not np.allclose(due, 0.0):
+            speed = plain.states[int(np.argmax(due.max(axis=0)))]
+            notes.append(
+                f"{cause.words[:1].upper()}{cause.words[1:]} is smoothed about rest, and here the "
+                "slopes are those of the smoothing, far stiffer than any motion that slides: for "
+                f'that take a point at which it slides, to_control({{"{speed}": value}}) '
+                f"(--at {speed}=VALUE)."
+            )
+    return notes
 
 
 def _delayed(
@@ -182,9 +227,12 @@ def write_control(
     *,
     pade: int | None = None,
     without_delays: bool = False,
+    say: Callable[[str], None] | None = None,
 ) -> Path:
-    """Write a Python file (.py) that makes the state space, `system`."""
-    system = control_system(fitted, at, pade=pade, without_delays=without_delays)
+    """Write a Python file (.py) that makes the state space, `system`; `say` takes its notes."""
+    system, notes = _linearised(fitted, at, None, pade, without_delays=without_delays)
+    for note in notes:
+        (say or warn_of)(f"note: {note}" if say else note)
     path = checked_path(path, "control")
     name = docstring_text(fitted.name)
     units = fitted.model.unit_of
@@ -192,8 +240,11 @@ def write_control(
     point = point or "all states and inputs zero"
     late = "" if pade is None else f", delays by Pade approximations of order {pade}"
     title = f"{name}, linearised at {point}{late}; matrices in SI units."
+    wrapped = [line for note in notes for line in ("", *textwrap.wrap(note, 100))]
+    end = ["", *wrapped[1:], '"""'] if notes else []
     lines = [
-        f'"""{title} Written by {written_by()}."""',
+        f'"""{title} Written by {written_by()}.' + ("" if notes else '"""'),
+        *end,
         "",
         "import control",
         "import numpy as np",

@@ -176,7 +176,8 @@ class _Writer:
         if self.fitted.causes:
             lines.append("")
         lines += [
-            f"Written by {written_by()}. Each number is in the unit beside it, expressions in SI.",
+            f"Written by {written_by()}. Each number is in the unit beside it, expressions and",
+            "numbers without a unit in SI.",
             '"""',
         ]
         return lines

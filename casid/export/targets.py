@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import get_args
 
@@ -21,6 +21,7 @@ def export(
     at: Mapping[str, float] | None = None,
     pade: int | None = None,
     without_delays: bool = False,
+    say: Callable[[str], None] | None = None,
 ) -> Path:
     """Write a fitted model for one of `TARGETS`; returns the path.
 
@@ -29,6 +30,7 @@ def export(
     at : operating point of a state space, SI.
     pade : order of the Pade approximation of the delays in a state space.
     without_delays : leave out the delays of sensors and inputs.
+    say : takes what the user of a state space should know; by default a warning has it.
 
     Raises
     ------
@@ -61,7 +63,7 @@ def export(
         return write_casadi(fitted, path, without_delays=without_delays)
     from casid.export.control_system import write_control
 
-    return write_control(fitted, path, at, pade=pade, without_delays=without_delays)
+    return write_control(fitted, path, at, pade=pade, without_delays=without_delays, say=say)
 
 
 def require_target(target: str) -> None:

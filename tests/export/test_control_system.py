@@ -12,14 +12,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import casid
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.control_system import write_control
+from casid.model.effects.balances.balance_effects import coulomb_friction
 from tests.support.fitted_models import (
     Simulated,
     assert_same,
+    driven_mass,
     extended_emps,
     extended_pendulum,
+    fitted_model,
     simulated,
     with_steps,
 )
@@ -95,3 +100,41 @@ def test_any_name_of_a_model_is_text_in_the_written_file(tmp_path: Path) -> None
 def test_a_point_that_is_no_state_or_input_is_refused() -> None:
     with pytest.raises(ModelError, match=r"no state or input 'psi'.*phi, p, accel"):
         extended_pendulum().to_control({"psi": 1.0})
+
+
+def sliding_mass() -> FittedModel:
+    """A mass on a spring with dry friction that is smoothed below 1 mm/s, as a diagnosis has it."""
+    problem = casid.Problem("mass", driven_mass())
+    fitted = fitted_model(
+        problem,
+        [lambda m: coulomb_friction(m, "force", speed=1e-3)],
+        {"d": 1.5, "k": 50.0, "F_c": 3.0},
+        x0=(0.0, 0.0),
+        Ts=0.01,
+        N=40,
+    )
+    causes = tuple(replace(c, constants={"speed": 1e-3}) for c in fitted.causes)
+    return replace(fitted, causes=causes)
+
+
+def test_a_state_space_at_rest_says_that_its_slopes_are_those_of_a_smoothed_friction(
+    tmp_path: Path,
+) -> None:
+    """3 N over 1 mm/s are 3000 N s/m: the pole of the axis would be at -1500 1/s."""
+    said: list[str] = []
+    path = write_control(sliding_mass(), tmp_path / "mass.py", say=said.append)
+    (note,) = said
+    assert "Dry friction in the force balance is smoothed about rest" in note
+    assert "--at v=VALUE" in note
+    text = path.read_text()
+    assert '(--at v=VALUE).\n"""' in text
+    compile(text, str(path), "exec")
+    with pytest.warns(UserWarning, match="slopes are those of the smoothing"):
+        assert sliding_mass().to_control().poles().real.min() == pytest.approx(-1500.7, rel=1e-3)
+
+
+def test_where_it_slides_nothing_is_said_of_its_friction(tmp_path: Path) -> None:
+    said: list[str] = []
+    path = write_control(sliding_mass(), tmp_path / "mass.py", {"v": 0.1}, say=said.append)
+    assert said == []
+    assert "smoothed" not in path.read_text()
