@@ -10,14 +10,12 @@ import numpy as np
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
-from casid.errors import DataError
+from casid.errors import DataError, SolveError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.fitted.from_fit import channels_of
 from casid.estimation.fitted.parts import FittedRecord, SimulationSettings
+from casid.estimation.simulation.thresholds import STEPS
 from casid.model.model import Model
-
-FINEST = 16
-"""Runge-Kutta steps a sample that a simulation is refined to at most."""
 
 
 def recorded_inputs(model: Model) -> list[str]:
@@ -72,7 +70,8 @@ def starting_model(
     """The model of a problem before any fit: parameters known or at their starts.
 
     Initial states are the known ones, or their starts. Runge-Kutta steps are doubled until they
-    change no output by more than a millionth of its range under the inputs of `experiment`.
+    change no output by more than a millionth of its range under the inputs of `experiment`, as far
+    as a fit would (`STEPS.last`).
 
     Parameters
     ----------
@@ -94,14 +93,22 @@ def starting_model(
         covariance=np.zeros((0, 0)),
         channels=channels_of(problem),
     )
-    before = made.simulate(experiment, on_clock=True)
-    for substeps in (2, 4, 8, FINEST):
+    before: Record | None = None
+    substeps = 1
+    while True:
         finer = replace(made, settings=SimulationSettings(substeps))
-        after = finer.simulate(experiment, on_clock=True)
-        if all(_agree(before, after, name) for name in model.outputs):
-            break
-        made, before = finer, after
-    return made
+        try:
+            after = finer.simulate(experiment, on_clock=True)
+        except SolveError:  # too long a step diverges where a shorter one does not
+            if substeps >= STEPS.last:
+                raise
+        else:
+            if before is not None and all(_agree(before, after, n) for n in model.outputs):
+                return made
+            made, before = finer, after
+        if substeps >= STEPS.last:
+            return made
+        substeps *= 2
 
 
 def _agree(before: Record, after: Record, name: str) -> bool:
