@@ -20,7 +20,7 @@ def driven(terms):
     M = m.constant("M", 1.0, "kg")
     m.balance(v, "force", inertia=M, terms=[F, *terms(m, v)])
     m.output("speed", v, "m/s")
-    force = np.where(np.arange(100) // 10 % 2, 2.0, -2.0)
+    force = np.where(np.arange(400) // 10 % 2, 2.0, -2.0)
     record = casid.Record({"F": force}, {"F": "N"}, Ts=0.1, name="square wave")
     return casid.Problem("mass", m), casid.Experiment(record)
 
