@@ -98,7 +98,7 @@ def stuck_channels(
     found, shown = [], units or {}
     present = [c for c in channels if c in record]
     for numbers, findings in (channel_quality(record, c, shown.get(c, "")) for c in present):
-        if numbers.at_extreme >= least * record.N:
+        if numbers.at_extreme >= least * (record.N - numbers.missing):
             found += [
                 f for f in findings if f.about == "rest" or (are_measured and f.about == "limit")
             ]
@@ -132,9 +132,9 @@ def channel_quality(
         return constant, findings
     levels = np.unique(kept)
     step, few = quantisation_step(levels), levels.size <= FEW_LEVELS
-    run, plateau, equal = _equal_samples(record, name, step, few, shown)
-    findings += equal
     own = np.flatnonzero(~mask) if gone > record.N // 2 else np.arange(record.N)  # on its own clock
+    run, plateau, equal = _equal_samples(record, name, own, step, few, shown)
+    findings += equal
     spikes = np.array([], dtype=np.intp) if few else own[isolated_spikes(x[own], mask[own])]
     if spikes.size:
         findings.append(spiked(name, record.t[spikes]))
@@ -173,10 +173,10 @@ def _constant(name: str, value: float, unit: str) -> Finding:
 
 
 def _equal_samples(
-    record: Record, name: str, step: float | None, few: bool, shown: str
+    record: Record, name: str, own: NDArray[np.intp], step: float | None, few: bool, shown: str
 ) -> tuple[int, int, list[Finding]]:
     """The longest run of equal samples, the longest at an extreme, and what they point to."""
-    x, mask = record.filled(name), record.is_missing(name)
+    x, mask, t = record.filled(name)[own], record.is_missing(name)[own], record.t[own]
     run, run_start, plateau, plateau_start, beside = _runs(x, mask)
     jump = _jump_into(x, plateau_start, plateau) if plateau >= 4 else 0.0
     sudden = bool(_begins_suddenly(plateau, beside))
@@ -193,18 +193,18 @@ def _equal_samples(
                 f"{plateau} equal samples at the "
                 f"{'maximum' if value == x[~mask].max() else 'minimum'} "
                 f"{float(from_si(value, shown)) + 0.0:.6g}{_behind(shown)}, first at "
-                f"t = {record.t[plateau_start]:.6g} s: possibly clipped.",
+                f"t = {t[plateau_start]:.6g} s: possibly clipped.",
                 "Check the sensor's range; mark the plateau missing or cut it off with a window.",
                 about="limit",
             )
         )
     is_new = run_start != plateau_start or not (findings or mask.any())
-    if run >= max(20, 0.01 * record.N) and is_new:
+    if run >= max(20, 0.01 * x.size) and is_new:
         findings.append(
             Finding(
                 "note",
                 name,
-                f"{run} equal samples in a row from t = {record.t[run_start]:.6g} s.",
+                f"{run} equal samples in a row from t = {t[run_start]:.6g} s.",
                 "Right for a held input; for a sensor it is stuck or updated slower than logged.",
             )
         )

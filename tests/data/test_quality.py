@@ -34,6 +34,26 @@ def texts(report, channel="y"):
     return [f.text for f in report.findings if f.channel == channel]
 
 
+def unevenly(values) -> Record:
+    """Readings every 20 s to 95 s, as a logger takes them by hand, each at its own instant."""
+    t = np.cumsum(np.random.default_rng(1).uniform(20.0, 95.0, len(values))).round()
+    return Record.from_signals({"y": (t, values)}, {"y": "K"})
+
+
+def test_a_sensor_that_is_stuck_or_cut_off_is_seen_on_an_uneven_clock_too():
+    """Samples that the clock has none of, between the readings, part no run of equal ones."""
+    y = 40 + 10 * np.sin(np.arange(600) / 25) + 0.05 * np.random.default_rng(2).normal(size=600)
+    stuck = y.copy()
+    stuck[300:380] = stuck[300]
+    report = check(unevenly(stuck))
+    assert report.channels[0].longest_run == 80
+    assert any(text.startswith("80 equal samples in a row") for text in texts(report))
+    assert any("possibly clipped" in text for text in texts(check(unevenly(np.minimum(y, 46.0)))))
+    sound = check(unevenly(y))
+    assert sound.channels[0].longest_run == 1
+    assert not any("equal samples" in text for text in texts(sound))
+
+
 def test_a_sound_record_has_no_findings():
     report = check(record(smooth()))
     assert report.findings == ()
