@@ -288,17 +288,14 @@ def _trend(record: Record, name: str, shown: str) -> tuple[float, list[Finding]]
     spread = float(np.std(kept - drift * s))
     if abs(drift) <= 3 * spread or _scatter_about_step(kept) < spread:
         return drift, []
-    times = abs(drift) / max(spread, TINY)
-    return drift, [
-        Finding(
-            "note",
-            name,
-            f"a trend: {float(difference_from_si(drift, shown)):.4g}{_behind(shown)} over the "
-            f"record, "
-            f"{times:.3g} times the scatter about it.",
-            "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
-        )
-    ]
+    over = f"{float(difference_from_si(drift, shown)):.4g}{_behind(shown)} over the record"
+    if spread <= abs(drift) * np.sqrt(np.finfo(float).eps):  # to rounding
+        text = f"a straight line, {over}, as of a ramp, a counter of rows, or a clock."
+        remedy = f"Right for a command that is a ramp; else leave it out, --ignore {name!r}."
+        return drift, [Finding("note", name, text, remedy)]
+    text = f"a trend: {over}, {abs(drift) / max(spread, TINY):.3g} times the scatter about it."
+    remedy = "Where it is the sensor's drift, use record.detrend(1) or a bias parameter."
+    return drift, [Finding("note", name, text, remedy)]
 
 
 def _scatter_about_step(x: FloatArray) -> float:

@@ -478,3 +478,14 @@ def test_the_step_of_a_sensor_is_found_behind_the_rounding_of_its_print() -> Non
     shown = np.round(np.concatenate([sixteenths, sixteenths[:40] + 1]) / 16, 3) + 273.15
     assert quantisation_step(shown) == pytest.approx(1 / 16, rel=1e-3)
     assert quantisation_step(np.random.default_rng(4).standard_normal(200)) is None
+
+
+def test_a_column_that_counts_its_rows_is_no_sensor_that_drifts() -> None:
+    """Its scatter about the line is rounding: "1.44e+16 times the scatter" said nothing."""
+    (said,) = [t for t in texts(check(record(np.arange(float(N))))) if "over the record" in t]
+    assert (
+        said
+        == "a straight line, 4095 over the record, as of a ramp, a counter of rows, or a clock."
+    )
+    noisy = np.arange(N) + np.random.default_rng(1).standard_normal(N)
+    assert any("a trend" in t for t in texts(check(record(noisy))))
