@@ -238,8 +238,7 @@ class _Writer:
             text = self._formula(term)
             sign = "" if i == 0 else "+ "
             if i > 0 and text.startswith("-"):
-                sign, text = "- ", self._formula(-term)
-                text = f"({text})" if _is_sum(text) else text
+                sign, text = "- ", text[1:]  # of a sum too: + (-a + b) is - a + b
             elif i > 0 and _is_sum(text):
                 text = f"({text})"
             end = ";" if i + 1 == len(b.terms) else ""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import casid
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.modelica import modelica_text, modelica_unit
 from tests.support.fitted_models import (
@@ -14,20 +16,15 @@ from tests.support.fitted_models import (
     extended_emps,
     extended_pendulum,
     extended_roll_decay,
+    fitted_model,
     simulated,
     with_steps,
 )
 
 
-@pytest.mark.parametrize(
-    ("fitted", "steps"),
-    [(extended_pendulum, 8), (extended_roll_decay, 8), (extended_emps, 16)],
-    ids=["pendulum", "roll decay", "EMPS"],
-)
-def test_the_compiled_model_simulates_to_the_same(fitted: FittedModel, steps: int) -> None:
-    """With an input linear in time, which both know exactly, and steps so fine that both agree."""
+def assert_compiled_is_the_same(model: FittedModel) -> None:
+    """With an input linear in time, which both know exactly."""
     rumoca = pytest.importorskip("rumoca", reason="the Modelica compiler rumoca is not installed")
-    model = with_steps(fitted(), steps)  # type: ignore[operator]
     t = model.Ts * np.arange(model.records[0].N)
     names = [n for n, u in model.model.inputs.items() if u.kind != "generated"]
     wanted = simulated(model, dict.fromkeys(names, 0.3 + 0.2 * t))
@@ -42,6 +39,33 @@ def test_the_compiled_model_simulates_to_the_same(fitted: FittedModel, steps: in
     assert_same(states, wanted.x[:-1])
     outputs = table[[f"plant.{y}" for y in model.model.outputs]].to_numpy()
     assert_same(outputs, wanted.y)
+
+
+@pytest.mark.parametrize(
+    ("fitted", "steps"),
+    [(extended_pendulum, 8), (extended_roll_decay, 8), (extended_emps, 16)],
+    ids=["pendulum", "roll decay", "EMPS"],
+)
+def test_the_compiled_model_simulates_to_the_same(fitted: FittedModel, steps: int) -> None:
+    """With steps so fine that both agree."""
+    assert_compiled_is_the_same(with_steps(fitted(), steps))  # type: ignore[operator]
+
+
+def test_terms_with_a_negative_number_have_one_sign_in_front() -> None:
+    """Modelica has no "- -(a)": radiation, written with its constant, was refused by a compiler."""
+    m = casid.Model("hot body")
+    T, P = m.state("T", "K"), m.input("P", "W", known=True)
+    C, A = m.constant("C", 500.0, "J/K"), m.parameter("A", "m^2", start=0.3, lower=0.0)
+    h = m.constant("h", 2.0, "W/K")
+    gain = -(h * T - 0.5 * P)
+    m.balance(T, "heat", inertia=C, terms=[P, -5.67e-8 * A * (T**4 - 293.0**4), gain, -(-3.0 * P)])
+    m.output("T_out", T, "K")
+    problem = casid.Problem("hot body", m)
+    fitted = fitted_model(problem, [], {"A": 0.3}, x0=(300.0,), Ts=1.0, N=60, substeps=4)
+    text = modelica_text(fitted, "Body")
+    assert "    - 5.67e-08 * A * (T^4 - 7370050801)" in text
+    assert not re.search(r"[-+] *[-+]", text)
+    assert_compiled_is_the_same(fitted)
 
 
 def test_the_text_reads_as_the_physics(tmp_path: Path) -> None:
