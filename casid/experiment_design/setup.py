@@ -77,8 +77,10 @@ def nominal_of(source: Source, *, with_causes: bool = False) -> Nominal:
     """
     if isinstance(source, Model):
         source = Problem(source.name, source)
-    is_problem = isinstance(source, Problem)
-    found = _of_problem(source) if is_problem else _of_result(source, with_causes=with_causes)
+    if isinstance(source, Problem):
+        found = _of_problem(source)
+    else:
+        found = _of_result(source, with_causes=with_causes)
     model = found.model
     unknown = [n for n, u in model.inputs.items() if u.kind == "unknown"]
     if unknown:

@@ -59,7 +59,7 @@ def singular_part(expressions: Expr, symbols: Expr, point: Array) -> SingularPar
     symbols : (k, 1) SX, all that occur in them.
     point : (k,) their values.
     """
-    entries = ca.vertcat(*ca.SX(ca.densify(expressions)).elements())
+    entries = ca.vec(ca.densify(ca.SX(expressions)))
     place = _first_not_finite(entries, symbols, point)
     if place is None:
         return None
