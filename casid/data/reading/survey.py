@@ -451,7 +451,7 @@ def _record(
         step, t0 = even_step(times), float(times[0])
         return Record(values, units, step, t0, name, missing, tuple(steps))
     try:
-        return resampled(times, values, units, missing, resample, name, steps)
+        return resampled(times, values, units, missing, resample, name, steps, options.held)
     except DataError as error:
         median = float(np.median(np.diff(times)))
         remedy = f"Resample nearer to the median interval, resample={median:.6g}."

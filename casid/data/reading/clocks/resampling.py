@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,6 +12,8 @@ from casid.data.reading.clocks.even_clock import GAP, UNIFORM
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.model.quantities import count_text
+
+_USUAL = 0.9  # of the intervals of random instants, which are none longer than usual; heuristic
 
 DENSEST = 100
 """Most samples that one recorded sample becomes: more only make every fit longer."""
@@ -72,12 +76,24 @@ def resampled(
     Ts: float,
     name: str,
     steps: list[str],
+    held: Collection[str] = (),
 ) -> Record:
-    """Resample every channel; a sample between neighbours far apart or missing is marked."""
+    """Resample every channel; a sample between neighbours far apart or missing is marked.
+
+    Parameters
+    ----------
+    held : channels that stand from row to row, as a command does: each sample has what flows in
+        until the next one, as on the clock of their own instants.
+
+    Raises
+    ------
+    DataError
+        As `resample`, or if the filter before a decimation reaches from gap to gap of a channel.
+    """
     intervals = np.diff(times)
-    median = float(np.median(intervals))
+    usual = _usual(intervals)
     # A grid coarser than the samples would alias: interpolate finer, then decimate behind a filter.
-    factor = int(np.ceil(Ts / median * (1 - UNIFORM))) if Ts > median * (1 + UNIFORM) else 1
+    factor = int(np.ceil(Ts / usual * (1 - UNIFORM))) if Ts > usual * (1 + UNIFORM) else 1
     fine = Ts / factor
     gridded: dict[str, FloatArray] = {}
     masks: dict[str, BoolArray] = {}
@@ -90,19 +106,58 @@ def resampled(
             gridded[channel], masks[channel] = np.zeros(grid.size), np.ones(grid.size, dtype=bool)
             continue
         inner = np.clip(grid, t_kept[0], t_kept[-1])
-        gridded[channel] = _pchip(t_kept, y[kept], inner)
+        gridded[channel] = (
+            _held_means(t_kept, y[kept], inner, fine)
+            if channel in held
+            else _pchip(t_kept, y[kept], inner)
+        )
         after = np.clip(np.searchsorted(t_kept, grid, side="left"), 1, t_kept.size - 1)
-        far = t_kept[after] - t_kept[after - 1] > GAP * median
+        far = t_kept[after] - t_kept[after - 1] > GAP * usual
         nearest = np.minimum(np.abs(grid - t_kept[after]), np.abs(grid - t_kept[after - 1]))
-        masks[channel] = (far & (nearest > 0.5 * median)) | (inner != grid)
+        masks[channel] = (far & (nearest > 0.5 * usual)) | (inner != grid)
         marked += int(masks[channel].sum())
     steps.append(
         f"resampled by PCHIP onto Ts = {fine:g} s (intervals were {intervals.min():.6g} to "
-        f"{intervals.max():.6g} s, median {median:.6g} s); "
+        f"{intervals.max():.6g} s, median {np.median(intervals):.6g} s); "
         f"{count_text(marked, 'sample')} in gaps marked missing"
     )
     record = Record(gridded, units, fine, float(times[0]), name, masks, tuple(steps))
-    return record if factor == 1 else record.decimate(factor)
+    if factor == 1:
+        return record
+    return _decimated(record, factor, Ts)
+
+
+def _decimated(record: Record, factor: int, Ts: float) -> Record:
+    """Every sample that is `Ts` apart behind the filter; refused where a channel keeps none."""
+    fewer = record.decimate(factor)
+    for channel in fewer.names:
+        if fewer.is_missing(channel).all() and not record.is_missing(channel).all():
+            raise DataError(
+                f"no sample of {channel} is left: onto Ts = {Ts:g} s the anti-alias filter takes "
+                f"{record.N - factor * (fewer.N - 1)} samples of {record.Ts:g} s, and nowhere so "
+                "many are without a gap."
+            )
+    return fewer
+
+
+def _usual(intervals: FloatArray) -> float:
+    """The interval of a clock [s]: one that is even but for lost rows has it more often than not.
+
+    That of random instants is what nine in ten do not exceed: none of these is a gap.
+    """
+    median = float(np.median(intervals))
+    is_even = np.mean(np.abs(intervals - median) <= UNIFORM * median) >= 0.5
+    return median if is_even else float(np.quantile(intervals, _USUAL))
+
+
+def _held_means(t: FloatArray, y: FloatArray, at: FloatArray, Ts: float) -> FloatArray:
+    """Means over the sample time after each instant of a signal that is held from `t` to `t`."""
+    flowed = np.concatenate([[0.0], np.cumsum(y[:-1] * np.diff(t))])
+    end = np.minimum(at + Ts, t[-1])
+    means = (np.interp(end, t, flowed) - np.interp(at, t, flowed) + (at + Ts - end) * y[-1]) / Ts
+    last = np.searchsorted(t, at, side="right") - 1
+    following = np.append(t, np.inf)[last + 1]
+    return np.asarray(np.where(following >= at + Ts, y[last], means), dtype=np.float64)
 
 
 def _pchip(t: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:

@@ -103,7 +103,7 @@ def _refuse_gaps(model: Model, experiment: Experiment, d: Signals) -> None:
             f"{experiment.name}: samples are missing, the first at t = {d.t[np.argmax(gone)]:g} s, "
             "and a difference equation needs all of them; cut the record there (record.between), "
             "fit the simulation error, which takes records with gaps (--method simulation), or "
-            "interpolate with record.filled"
+            "interpolate: an uneven clock with --resample, samples that are lost with record.filled"
         )
 
 
