@@ -122,3 +122,15 @@ def test_a_dataset_of_xarray_has_units_and_the_time_as_its_coordinate():
     assert np.array_equal(found["force"].to_numpy(), run["force"])
     assert found["force"].attrs["units"] == "N"
     assert found.sel(t=TS * 10, method="nearest")["position"] == run["position"][10]
+
+
+def test_a_temperature_called_t_in_capitals_is_no_second_clock():
+    """A clock runs forward; a temperature rises and falls, whatever its letter."""
+    t = 10.0 * np.arange(100)
+    frame = pd.DataFrame({"t": t, "T": 20 + 5 * np.sin(t / 90), "P": 100.0 * (t > 500)})
+    found = casid.Record.from_frame(frame)
+    assert found.names == ("T", "P")
+    assert found.Ts == 10.0
+    rising = frame.assign(T=1.5 * t)
+    with pytest.raises(casid.DataError, match="two clocks, columns 't' and 'T'"):
+        casid.Record.from_frame(rising)
