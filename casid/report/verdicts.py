@@ -249,6 +249,13 @@ def judged_study(m: MonteCarlo) -> Judged:
         said_none = "Without the truth of the parameters the intervals cannot be judged."
         advice = "Give the problem its truth (Problem(truth=...)), and run the study again."
         return Judged("undecided", _PROMISE, "undecided", said_none + lost, advice)
+    if 2 * failed > runs:
+        most = (
+            f"{failed} of {runs} runs failed: the others show how an estimate errs where there is "
+            "one, and most records like these give none."
+        )
+        advice = "Remedy what the failures say, and run the study again (--force)."
+        return Judged("undecided", _PROMISE, "undecided", most, advice)
     if max(halves) > FEW_RUNS:
         needed = math.ceil(0.95 * 0.05 * (1.96 / 0.03) ** 2)
         few = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -227,3 +228,23 @@ def test_an_instant_is_in_hours_where_two_decimals_of_a_day_hide_what_is_resolve
 def test_a_growth_of_many_times_is_no_percentage():
     assert growth_text(1.13) == "by 13 %"
     assert growth_text(4574.0) == "4574 times as large"
+
+
+def test_a_study_of_which_most_runs_failed_is_not_reliable_so_far():
+    """Of 40 runs 30 gave no estimate: the ten that did are no sample of the records."""
+    study = monte_carlo()
+    good = tuple(p for p in study.parameters if p.name == "d")
+    failed = [None] * 10 + ["SolveError: the criterion has a kink"] * 30
+    table = study.campaign.table.assign(failed=failed)
+    lost = replace(study, parameters=good, campaign=replace(study.campaign, table=table))
+    said = judged_study(lost)
+    assert (said.word, said.look) == ("undecided", "undecided")
+    assert said.sentence.startswith("30 of 40 runs failed")
+    assert "30 of" not in judged_study(replace(study, parameters=good)).sentence
+
+
+def test_a_number_that_one_run_does_not_give_is_left_out_of_the_table():
+    """The spread of one estimate is none: "-17 +- nan" was printed."""
+    study = monte_carlo()
+    one = tuple(replace(p, n=1, spread=math.nan) for p in study.parameters)
+    assert "nan" not in str(replace(study, parameters=one))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -216,9 +217,10 @@ def monte_carlo_document(result: MonteCarlo) -> Document:
                 label,
                 "--" if p.truth is None else f"{p.truth:.5g}",
                 p.mean_text,
-                f"{'--' if p.bias is None else f'{p.bias:.2g}'} +- {p.bias_std_error:<7.2g}",
-                f"{p.spread:.3g}",
-                f"{p.mean_std_error:.3g}",
+                f"{'--' if p.bias is None else f'{p.bias:.2g}'} +- "
+                f"{_finite(p.bias_std_error, '.2g'):<7}",
+                _finite(p.spread, ".3g"),
+                _finite(p.mean_std_error, ".3g"),
                 covers,
             )
         )
@@ -241,6 +243,11 @@ def monte_carlo_document(result: MonteCarlo) -> Document:
         label=8,
         width=_WIDEST,
     )  # fmt: skip
+
+
+def _finite(value: float, digits: str) -> str:
+    """A number; `--` for that of too few runs."""
+    return format(value, digits) if math.isfinite(value) else "--"
 
 
 def model_comparison_document(found: ModelComparison) -> Document:
