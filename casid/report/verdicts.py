@@ -223,6 +223,15 @@ def _fit_text(e: Estimate) -> str:
     return f"The model reproduces {listed}."
 
 
+def _mostly_failed(failed: int, runs: int) -> Judged:
+    most = (
+        f"{failed} of {runs} runs failed: the others show how an estimate errs where there is one, "
+        "and most records like these give none."
+    )
+    advice = "Remedy what the failures say, and run the study again (--force)."
+    return Judged("undecided", _PROMISE, "undecided", most, advice)
+
+
 def judged_study(m: MonteCarlo) -> Judged:
     """Whether the error bars of an estimator keep what they promise."""
     failed, runs = len(m.campaign.failures), m.campaign.runs
@@ -250,12 +259,7 @@ def judged_study(m: MonteCarlo) -> Judged:
         advice = "Give the problem its truth (Problem(truth=...)), and run the study again."
         return Judged("undecided", _PROMISE, "undecided", said_none + lost, advice)
     if 2 * failed > runs:
-        most = (
-            f"{failed} of {runs} runs failed: the others show how an estimate errs where there is "
-            "one, and most records like these give none."
-        )
-        advice = "Remedy what the failures say, and run the study again (--force)."
-        return Judged("undecided", _PROMISE, "undecided", most, advice)
+        return _mostly_failed(failed, runs)
     if max(halves) > FEW_RUNS:
         needed = math.ceil(0.95 * 0.05 * (1.96 / 0.03) ** 2)
         few = (
