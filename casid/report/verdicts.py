@@ -223,6 +223,18 @@ def _fit_text(e: Estimate) -> str:
     return f"The model reproduces {listed}."
 
 
+def _misled(biased: list[str], rarely: list[str], lost: str) -> Judged:
+    said = [f"The estimates of {', '.join(biased)} are biased."] if biased else []
+    if rarely:
+        said.append(f"The 95 % intervals of {', '.join(rarely)} contain the truth too rarely.")
+    advice = (
+        "Do not rely on these error bars. A bias comes from a wrong model, from noise on "
+        "measured inputs, or from a nonlinear estimate of little data: look at the histogram; "
+        "then try a longer record, another method, or a model that has what is missing."
+    )
+    return Judged("not reliable", _PROMISE, "deficient", " ".join(said) + lost, advice)
+
+
 def _mostly_failed(failed: int, runs: int) -> Judged:
     most = (
         f"{failed} of {runs} runs failed: the others show how an estimate errs where there is one, "
@@ -240,15 +252,7 @@ def judged_study(m: MonteCarlo) -> Judged:
     rarely = [p.name for p in m.parameters if any("too rarely" in r for r in p.remarks)]
     often = [p.name for p in m.parameters if any("too often" in r for r in p.remarks)]
     if biased or rarely:
-        said = [f"The estimates of {', '.join(biased)} are biased."] if biased else []
-        if rarely:
-            said.append(f"The 95 % intervals of {', '.join(rarely)} contain the truth too rarely.")
-        advice = (
-            "Do not rely on these error bars. A bias comes from a wrong model, from noise on "
-            "measured inputs, or from a nonlinear estimate of little data: look at the histogram; "
-            "then try a longer record, another method, or a model that has what is missing."
-        )
-        return Judged("not reliable", _PROMISE, "deficient", " ".join(said) + lost, advice)
+        return _misled(biased, rarely, lost)
     halves = [
         0.5 * (p.coverage_interval[1] - p.coverage_interval[0])
         for p in m.parameters
