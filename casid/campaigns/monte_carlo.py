@@ -180,6 +180,20 @@ class Study:
             raise DataError(
                 f"problem {self.problem.name} has no unknown parameter left to estimate; set fewer"
             )
+        self._require_reachable_truth()
+
+    def _require_reachable_truth(self) -> None:
+        """Refuse a truth outside the bounds, which no estimate and no interval reaches."""
+        model = self.problem.model
+        for name, true in model.in_si(self.problem.truth).items():
+            p = model.parameters[name]
+            if not (p.is_known or p.lower <= true <= p.upper):
+                low, high = (model.shown(name, x) for x in (p.lower, p.upper))
+                raise DataError(
+                    f"problem {self.problem.name}: the truth of {name}, "
+                    f"{self.problem.truth[name]:g} {model.unit_of(name)}, lies outside its bounds, "
+                    f"{low:g} to {high:g}; correct the truth, or widen the bounds"
+                )
 
     def __call__(self, seed: SeedSequence) -> dict[str, Any]:
         """One run: the estimates and their standard errors, in the parameters' units."""
