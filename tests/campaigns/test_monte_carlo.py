@@ -344,9 +344,7 @@ def test_problems_that_cannot_be_studied_are_refused(tank: Problem) -> None:
 
 def test_a_truth_that_no_estimate_reaches_is_refused_before_the_first_run(tank: Problem) -> None:
     """All intervals would end at the bound, and the study call the error bars not reliable."""
-    with pytest.raises(
-        DataError, match="truth of a, 70 1/s, lies outside its bounds, 0.01 to"
-    ):
+    with pytest.raises(DataError, match="truth of a, 70 1/s, lies outside its bounds, 0.01 to"):
         montecarlo(replace(tank, truth={"a": 70.0, "b": 1.2}), runs=2)
 
 
