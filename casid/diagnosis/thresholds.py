@@ -739,6 +739,11 @@ class Restarts:
     explained: float = _is(
         3.0, "times its noise, the error that needs no other start", _JOINT_REFIT
     )
+    promising: float = _is(
+        0.3,
+        "of the gain of the best, at least, of a candidate that is refitted from where that led",
+        _JOINT_REFIT,
+    )
     shorter: tuple[float, ...] = _is(
         (0.1, 0.01),
         "of the linearised size of an effect, to start from where the whole of it led farther from "

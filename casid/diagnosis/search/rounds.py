@@ -292,6 +292,7 @@ class Search:
         short = scores_to_refit(at, table)
         found = self.refits_of(at, short)
         found += self.refits_of(at, delays_of_best(table, found, short))
+        found = self.refitting.from_where_best_led(at, found)
         known = events_of(adopted)
         found = placed(self.refitting, at, found, known, self.progress)
         more = changes_at_the_same_instants(self.refitting, at, table, found)

@@ -7,7 +7,7 @@ with J the whitened simulation error less what input noise alone gives to it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -207,13 +207,46 @@ class Refitting:
         effect, values = found.effect, found_values(found)
         first = effect.parameters[0]
         new = self.refit(at, effect, values[first.name] - first.start, starts=values, near=near)
-        if new is not None and error_over_noise(new.fit, at.noise) < RESTARTS.explained:
+        is_far = error_over_noise(at.fit, at.noise) >= RESTARTS.far
+        if new and not is_far and error_over_noise(new.fit, at.noise) < RESTARTS.explained:
             return new
         whole = partial(self._from, at, effect, values, None, found.fit.values, best=new)
         other = self.attempts.attempt(name_of(effect), whole)
         if other is None or not _is_plausible(other):
             return new
         return other if new is None or other.gain > new.gain else new
+
+    def from_where_best_led(self, at: Weighted, found: Sequence[Candidate]) -> list[Candidate]:
+        """Those that promise much, refitted from the parameters that the best of all led to.
+
+        A model that is far from what was measured has fitted it by parameters that are far away,
+        and a refit may find the way back with one cause and not with another. An effect begins
+        small there: its size beside the far parameters is too large as a rule.
+        """
+        best = max(found, key=lambda c: c.gain, default=None)
+        if best is None or error_over_noise(at.fit, at.noise) < RESTARTS.far:
+            return list(found)
+        return [
+            self._from_another(at, c, best)
+            if RESTARTS.promising * best.gain <= c.gain < best.gain
+            and error_over_noise(c.fit, at.noise) >= RESTARTS.explained
+            else c
+            for c in found
+        ]
+
+    def _from_another(self, at: Weighted, found: Candidate, other: Candidate) -> Candidate:
+        """The better of a candidate and its refit from the parameters that another led to."""
+        effect, best = found.effect, found
+        there = {n: v for n, v in other.fit.values.items() if n not in other.names}
+        values, first = found_values(found), effect.parameters[0]
+        step = RESTARTS.shorter[0] * (values[first.name] - first.start)
+        for start, upper in _starts(at, effect, step if effect.sided == "both" else abs(step)):
+            begun = {**values, first.name: start}
+            again = partial(self._from, at, effect, begun, upper, there, best=best)
+            new = self.attempts.attempt(name_of(effect), again)
+            if new is not None and _is_plausible(new) and new.gain > best.gain:
+                best = replace(new, score=found.score)
+        return best
 
     def moved(self, at: Weighted, found: Candidate, effect: Effect) -> Candidate | None:
         """A candidate refitted with its `effect` at another instant, from all that it was."""
