@@ -221,18 +221,21 @@ class Refitting:
 
         A model that is far from what was measured has fitted it by parameters that are far away,
         and a refit may find the way back with one cause and not with another. An effect begins
-        small there: its size beside the far parameters is too large as a rule.
+        small there: its size beside the far parameters is too large as a rule. What an input does
+        between samples it does or does not: that may change the model much at once, wherever it is.
         """
         best = max(found, key=lambda c: c.gain, default=None)
-        if best is None or error_over_noise(at.fit, at.noise) < RESTARTS.far:
-            return list(found)
-        return [
-            self._from_another(at, c, best)
-            if RESTARTS.promising * best.gain <= c.gain < best.gain
-            and error_over_noise(c.fit, at.noise) >= RESTARTS.explained
-            else c
-            for c in found
-        ]
+        if best is None:
+            return []
+        is_far = error_over_noise(at.fit, at.noise) >= RESTARTS.far
+
+        def is_tried(c: Candidate) -> bool:
+            if c.effect.kind in SWITCHED:
+                return c.gain < best.gain
+            is_promising = is_far and RESTARTS.promising * best.gain <= c.gain < best.gain
+            return is_promising and error_over_noise(c.fit, at.noise) >= RESTARTS.explained
+
+        return [self._from_another(at, c, best) if is_tried(c) else c for c in found]
 
     def _from_another(self, at: Weighted, found: Candidate, other: Candidate) -> Candidate:
         """The better of a candidate and its refit from the parameters that another led to."""

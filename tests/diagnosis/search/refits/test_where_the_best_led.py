@@ -8,6 +8,7 @@ the model as it is makes its wheels thirty times as heavy.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from scipy.linalg import expm
 import casid
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search.candidates import found_values
+from casid.diagnosis.search.refits import joint_refit
 from casid.diagnosis.search.refits.joint_refit import Refitting
 from casid.diagnosis.search.rounds import Search, shortlist
 from casid.estimation.noise.variances import error_over_noise
@@ -95,3 +97,24 @@ def test_a_drag_is_found_from_where_the_gain_of_the_brake_led():
     assert drag.gain > gain.gain
     assert drag.score is found["unknown"].score
     assert found_values(drag)["c_fast"] == pytest.approx(DRAG, rel=0.01)
+
+
+@pytest.mark.parametrize(("error", "tried"), [(2.0, ["hold"]), (50.0, ["hold", "offset"])])
+def test_what_is_there_or_not_is_sought_from_there_though_the_model_is_near(
+    monkeypatch: pytest.MonkeyPatch, error: float, tried: list[str]
+) -> None:
+    """A delay grows from zero and takes the parameters along; a hold moves them at once."""
+    gains = {"time_delay": 75.0, "hold": 17.0, "offset": 60.0, "sensor_bias": 20.0}
+    found = [
+        SimpleNamespace(effect=SimpleNamespace(kind=kind), gain=gain, fit=None)
+        for kind, gain in gains.items()
+    ]
+    again = []
+    monkeypatch.setattr(joint_refit, "error_over_noise", lambda fit, noise: error)
+    monkeypatch.setattr(
+        Refitting, "_from_another", lambda self, at, c, best: again.append((c, best)) or c
+    )
+    at = SimpleNamespace(fit=None, noise=None)
+    assert Refitting(weighing=None).from_where_best_led(at, found) == found
+    assert [c.effect.kind for c, _ in again] == tried
+    assert all(best is found[0] for _, best in again)
