@@ -1,4 +1,4 @@
-"""A store that follows next to never is a leak, which is what it is named."""
+"""A leak is named as one: no store that follows next to never, and no square that fits nearly."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import pytest
 import casid
 from casid.diagnosis.evidence.whitening.prewhitening import Weighing
 from casid.diagnosis.search.adoption.refinement import Adoption, Refinement, whole_fit
-from casid.diagnosis.search.candidates import Adopted
+from casid.diagnosis.search.candidates import Adopted, Rival
 from casid.diagnosis.search.rounds import Search
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
+from casid.model.effects.balances.balance_effects import quadratic_damping
 from casid.model.effects.balances.missing_parts import missing_store
 from casid.model.effects.balances.unnamed_effects import linear_loss
 
@@ -63,3 +64,22 @@ def test_a_store_whose_time_constant_ends_at_its_bound_gives_way_to_a_leak(leak,
     extended = weighing.weigh(store.model, whole, rounds=1)
     found = of.with_better_rivals(Adoption((Adopted(store, 1e-9, (), at),), extended, whole))
     assert [a.candidate.effect.kind for a in found.adopted] == [kind]
+
+
+def test_a_named_law_that_leaves_more_than_noise_does_not_replace_a_leak_that_leaves_noise_alone():
+    """The square takes all but 2 % of the misfit away, and the line, which has no name, all."""
+    split = split_records([casid.Experiment(filled(3e-3, False))], 0.3)
+    weighing, fit = Weighing(split.fitted), fit_model(tank(), split.fitted, ONCE)
+    at, units = weighing.weigh(tank(), fit), fit.criterion.weights
+    search = Search(weighing, {})
+    line = search.refitting.refit(at, linear_loss(at.model, "flow", 0.0), 3e-3)
+    square = search.refitting.refit(at, quadratic_damping(at.model, "flow"), 3e-3)
+    assert line is not None
+    assert square is not None
+    whole = whole_fit(line.model, split, ONCE, units, line.fit.values)
+    extended = weighing.weigh(line.model, whole, rounds=1)
+    leak = Adopted(line, 1e-9, (Rival(square, 0.5),), at)
+    found = Refinement(search, split, ONCE, units, at, fit).with_better_rivals(
+        Adoption((leak,), extended, whole)
+    )
+    assert [a.candidate.effect.kind for a in found.adopted] == ["unknown"]

@@ -6,7 +6,8 @@ complete set is therefore refined by the errors of all causes together:
 - a cause that the others have made insignificant is removed;
 - where the noise model absorbed misfit, gains were no likelihoods: a cause is replaced by a rival
   that, beside the other causes, fits as well in practice and has a smaller held-out error, and a
-  function without a name by a named effect that fits and predicts as well in practice;
+  function without a name by a named effect that fits and predicts as well in practice, and leaves
+  noise alone where the function does;
 - a store whose time constant ends at a bound is replaced by a simpler effect that does the same;
 - a cause that explains less than `JUDGING.practical` of the misfit is a small remainder: reported,
   but not as a cause, unless a parameter of the model is another one without it (`JUDGING.carried`):
@@ -53,7 +54,7 @@ from casid.diagnosis.search.disturbance.disturbance_price import explaining_dist
 from casid.diagnosis.search.instants.instant_errors import moved_in_time
 from casid.diagnosis.search.refits.swinging_parts import in_motion, may_move
 from casid.diagnosis.search.refusals import SUPERFLUOUS, Refusal
-from casid.diagnosis.search.residual_check import is_noise_alone
+from casid.diagnosis.search.residual_check import is_noise_alone, leaves_more
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, JUMPS, ROUNDS
 from casid.errors import SolveError
@@ -170,7 +171,9 @@ class Refinement:
                     continue
                 placed, other, after = tried
                 own = adopted[i].candidate
-                if self._is_preferred(own, bare, errors, after, is_limit=is_limit):
+                if self._is_preferred(own, bare, errors, after, is_limit=is_limit) and not (
+                    own.effect.is_unnamed and leaves_more(self.search, found.at, other)
+                ):
                     adopted = as_placed(adopted, placed)
                     adopted[i] = exchanged(found.adopted[i], placed[i])
                     fit, errors, is_new = other, after, True
