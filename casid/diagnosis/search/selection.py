@@ -9,6 +9,7 @@ from functools import partial
 from casid.arrays import Array
 from casid.diagnosis.evidence.scores.score_tests import ScoreTable
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
+from casid.diagnosis.search.adoption.clipped_readings import why_no_limit
 from casid.diagnosis.search.adoption.event_renaming import with_last_event_renamed
 from casid.diagnosis.search.adoption.first_contacts import with_first_contact
 from casid.diagnosis.search.adoption.friction_sharpness import (
@@ -305,8 +306,9 @@ class Selection:
         if why:
             return why
         fit = fit or whole()
-        if undetermined := why_undetermined(self.fit, fit, best):
-            return Refusal(undetermined)
+        doubt = why_undetermined(self.fit, fit, best)
+        if doubt := doubt or why_no_limit(fit, best, self.search.alpha):
+            return Refusal(doubt)
         fit, at = weighed_whole(weighing, fit, self.settings)
         leaves_noise = leaves_noise or is_soft_stop(self.at, best)
         if leaves_noise and not is_noise_alone(at, self.search):
