@@ -144,3 +144,20 @@ def test_what_is_refused_beside_another_effect_says_so(monkeypatch: pytest.Monke
         why.text,
         f"beside cubic stiffness in the forces balance, {why.text}",
     ]
+
+
+def test_no_clipping_is_adopted_whose_readings_go_on_beyond_its_limit(monkeypatch):
+    """Its errors speak for it, and what was measured does not."""
+    for name in ("whole_fit", "simulation_errors"):
+        monkeypatch.setattr(selection, name, lambda *_: SimpleNamespace(continued=None))
+    monkeypatch.setattr(selection, "why_not_adopted", lambda *_, **__: ACCEPTED)
+    monkeypatch.setattr(selection, "why_worse", lambda *_: "")
+    monkeypatch.setattr(selection, "why_undetermined", lambda *_: "")
+    monkeypatch.setattr(selection, "why_no_limit", lambda *_: "it goes on beyond that limit")
+    search = SimpleNamespace(weighing=SimpleNamespace(takes_disturbances=False), alpha=0.05)
+    nothing = SimpleNamespace(continued=None)
+    state = Selection(search, None, None, None, None, None, nothing, None, None, nothing)
+    fit = SimpleNamespace(values={})
+    clipping = SimpleNamespace(candidate=SimpleNamespace(model=None, fit=fit), is_alarm=False)
+    assert state._extend([clipping], False) == Refusal("it goes on beyond that limit")
+    assert not state.adopted
