@@ -812,6 +812,22 @@ class Jumps:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Scans:
+    """How near each other the instants of the first scan are, where a jump rings."""
+
+    alike: float = _is(
+        0.7,
+        "cosine of what sets in at two neighbours, at least: one between them then has a cosine of "
+        "nine tenths with one of them",
+        f"{TESTS}/search/instants/test_ringing_jumps.py",
+    )
+    finest: float = _is(
+        2.0, "samples between two of them", f"{TESTS}/search/instants/test_ringing_jumps.py"
+    )
+    most: int = _is(801, "of them: eight scans", f"{TESTS}/search/instants/test_ringing_jumps.py")
+
+
 _FRICTION = f"{TESTS}/search/refits/test_friction_speeds.py"
 
 
@@ -1446,6 +1462,7 @@ COMPARISON = Comparison()
 REFITS = Refits()
 RESTARTS = Restarts()
 JUMPS = Jumps()
+SCANS = Scans()
 FRICTION = Friction()
 STOPS = Stops()
 BURSTS = Bursts()

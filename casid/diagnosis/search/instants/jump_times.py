@@ -9,12 +9,13 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.records.signal_sizes import window_of
-from casid.diagnosis.evidence.scores.score_tests import scan, scan_pairs
+from casid.diagnosis.evidence.scores.score_tests import regressed, scan, scan_pairs
 from casid.diagnosis.evidence.whitening.weighted_model import Weighted
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.refits.joint_refit import Refitting
-from casid.diagnosis.thresholds import JUMPS
+from casid.diagnosis.thresholds import JUMPS, SCANS
 from casid.estimation.simulation.channels.sensor_dynamics import MEMORY
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.clock_effects import STEP, at_instant, knock
@@ -140,10 +141,12 @@ def placed_about(at: Weighted, effect: Effect, begin: float, end: float) -> Effe
     return at_instant(effect, at.model, *_best_pair(at, at.fit, None, about, reach))
 
 
-def _steps_about(at: Weighted, effect: Effect, model: Model, reach: float) -> list[Effect]:
+def _steps_about(
+    at: Weighted, effect: Effect, model: Model, reach: float, count: int = JUMPS.instants
+) -> list[Effect]:
     """An effect in a model at instants within reach of its own [s], inside the records."""
     start, stop = window_of(at)
-    times = effect.constants["time"] + reach * np.linspace(-1, 1, JUMPS.instants)
+    times = effect.constants["time"] + reach * np.linspace(-1, 1, count)
     return [at_instant(effect, model, float(t)) for t in times if start < t < stop]
 
 
@@ -217,15 +220,42 @@ def placed_by_refits(
         return _searched_by_refits(refitting, at, found, known)
     for reach in _reaches(at):
         now = found.effect.constants["time"]
-        effects = _steps_about(at, found.effect, found.model, reach)
+        effects = _steps_about(at, found.effect, found.model, reach, _resolving(at, found, reach))
         inside = [effect.constants["time"] for effect in effects]
-        left = scan(found.fit, found.names[0], effects)
+        left = _left(found, effects)
         best = int(np.argmin(left))
         if left[int(np.argmin(np.abs(np.subtract(inside, now))))] - left[best] > JUMPS.worth:
             found = _better_at(refitting, at, found, inside[best], known)
         if np.ptp(left[max(best - 1, 0) : best + 2]) < JUMPS.worth:
             break  # no instant between two of them leaves less
     return found
+
+
+def _left(found: Candidate, effects: Sequence[Effect]) -> Array:
+    """What is left with each of `effects` in the place of a candidate's own, some at a time."""
+    some = range(0, len(effects), JUMPS.instants)
+    parts = [effects[k : k + JUMPS.instants] for k in some]
+    return np.concatenate([scan(found.fit, found.names[0], part) for part in parts])
+
+
+def _resolving(at: Weighted, found: Candidate, reach: float) -> int:
+    """Instants of a scan so near each other that what sets in at neighbours looks alike.
+
+    What a jump shows may be a ringing alone, such as the release of a shaft whose two speeds are
+    measured: of instants further apart than its period none may be better than one far away.
+    """
+    count, Ts = JUMPS.instants, min(d.Ts for d in at.criterion.data)
+    now = found.effect.constants["time"]
+    while (step := 2 * reach / (count - 1)) > SCANS.finest * Ts and count < SCANS.most:
+        start, stop = window_of(at)
+        pair = [now, now + step if now + step < stop else now - step]
+        two = [at_instant(found.effect, found.model, t) for t in pair]
+        _, psi = regressed(found.fit, found.names[0], two)
+        a, b = psi.T / np.maximum(np.linalg.norm(psi, axis=0), TINY)[:, None]
+        if a @ b > SCANS.alike or pair[1] < start:
+            break
+        count = 2 * count - 1
+    return count
 
 
 def _searched_by_refits(
