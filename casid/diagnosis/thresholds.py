@@ -742,7 +742,7 @@ class Restarts:
     promising: float = _is(
         0.3,
         "of the gain of the best, at least, of a candidate that is refitted from where that led",
-        _JOINT_REFIT,
+        f"{TESTS}/search/refits/test_where_the_best_led.py",
     )
     shorter: tuple[float, ...] = _is(
         (0.1, 0.01),
@@ -814,7 +814,7 @@ class Jumps:
 
 @dataclass(frozen=True, slots=True)
 class Scans:
-    """How near each other the instants of the first scan are, where a jump rings."""
+    """How near each other the instants of a scan are, where a jump rings."""
 
     alike: float = _is(
         0.7,

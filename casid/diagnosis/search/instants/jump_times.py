@@ -244,15 +244,14 @@ def _resolving(at: Weighted, found: Candidate, reach: float) -> int:
     What a jump shows may be a ringing alone, such as the release of a shaft whose two speeds are
     measured: of instants further apart than its period none may be better than one far away.
     """
-    count, Ts = JUMPS.instants, min(d.Ts for d in at.criterion.data)
-    now = found.effect.constants["time"]
-    while (step := 2 * reach / (count - 1)) > SCANS.finest * Ts and count < SCANS.most:
-        start, stop = window_of(at)
-        pair = [now, now + step if now + step < stop else now - step]
-        two = [at_instant(found.effect, found.model, t) for t in pair]
+    count, finest = JUMPS.instants, SCANS.finest * min(d.Ts for d in at.criterion.data)
+    now, (_, stop) = found.effect.constants["time"], window_of(at)
+    while (step := 2 * reach / (count - 1)) > finest and count < SCANS.most:
+        beside = now + step if now + step < stop else now - step
+        two = [at_instant(found.effect, found.model, t) for t in (now, beside)]
         _, psi = regressed(found.fit, found.names[0], two)
         a, b = psi.T / np.maximum(np.linalg.norm(psi, axis=0), TINY)[:, None]
-        if a @ b > SCANS.alike or pair[1] < start:
+        if a @ b > SCANS.alike:
             break
         count = 2 * count - 1
     return count
